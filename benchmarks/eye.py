@@ -1,4 +1,4 @@
-"""How well an eye sees where the target is: errors along and across the line of sight, by distance from the origin.
+"""How well an eye sees where the target is: errors along and across the line of sight, by distance from the palm.
 
 python benchmarks/eye.py --eye outputs/eye/eye.safetensors [--images 4096] [--camera side] [--json FILE]
 python benchmarks/eye.py --eye outputs/eye/eye.safetensors --visited-by checkpoints/obact_standard --episodes 110
@@ -82,9 +82,10 @@ def _visited(policy: PolicyAgent, recipe: Recipe, specs: list[EpisodeSpec], came
         now = observation.images[camera].copy()
         acting = np.isin(np.arange(len(specs)), session.playing) & (frame >= window) & (frame < meeting)
         if before is not None and acting.any():
-            origin = observation.state[:, :PALM_DOF] if camera == EGO_VIEW else 0.0
-            place = (batch.target_pose[:, :PALM_DOF] - origin).astype(np.float32)
-            yield Snapshots(np.concatenate([now, before], axis=-1)[acting], place[acting])
+            target = batch.target_pose[:, :PALM_DOF]
+            from_palm = target - observation.state[:, :PALM_DOF]
+            place = (from_palm if camera == EGO_VIEW else target).astype(np.float32)
+            yield Snapshots(np.concatenate([now, before], axis=-1)[acting], place[acting], from_palm[acting])
         terminated, truncated = session.step(policy.act(observation))
         for i in np.flatnonzero(terminated | truncated):
             session.finish(int(i), policy.name)
@@ -93,7 +94,7 @@ def _visited(policy: PolicyAgent, recipe: Recipe, specs: list[EpisodeSpec], came
 
 @torch.no_grad()
 def _errors(eye: Eye, camera: Pinhole, shown: Snapshots) -> np.ndarray:
-    """Return (n, 3): distance from the origin, error along and across the line of sight [m] of targets in the image."""
+    """Return (n, 3): distance from the palm, error along and across the line of sight [m] of targets in the image."""
     place = torch.from_numpy(shown.place)
     sighting = eye(rearrange(torch.from_numpy(shown.images), "f h w c -> f c h w") / 255.0)
     sight = torch.nn.functional.normalize(place - camera.pos, dim=-1)
@@ -101,7 +102,8 @@ def _errors(eye: Eye, camera: Pinhole, shown: Snapshots) -> np.ndarray:
     along = (missed * sight).sum(-1, keepdim=True)
     across = (missed - along * sight).norm(dim=-1, keepdim=True)
     inside = (camera.seen(place)[:, :2].abs() < 1).all(-1)
-    return torch.cat([place.norm(dim=-1, keepdim=True), along.abs(), across], dim=-1)[inside].numpy()
+    distance = torch.from_numpy(shown.from_palm).norm(dim=-1, keepdim=True)
+    return torch.cat([distance, along.abs(), across], dim=-1)[inside].numpy()
 
 
 def _table(errors: np.ndarray) -> list[dict[str, Any]]:

@@ -4,7 +4,7 @@ python benchmarks/results.py [--rows benchmarks/results.yaml] [--only "ObAct" ..
     [--split test] [--episodes N] [--workers 2] [--dry-run] [--json FILE] [--tiny]
 
 The rows name the recipes and the options that they change. What is already in the root is not done again, so the same
-command resumes a run that was stopped.
+command resumes a run that was stopped. ``--json docs/figures/policies.json`` replaces the rows that were run there.
 """
 
 import json
@@ -14,18 +14,22 @@ import resource
 import shlex
 import shutil
 import subprocess
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
-from support.options import benchmark_parser, write_numbers
+from support.options import benchmark_parser, pinned_benchmark, provenance, write_numbers
 
-from dynahoi_lerobot.evaluate.results import METRICS_FILE, read_results
+from dynahoi_lerobot.evaluate.checkpoint import folder_weights
+from dynahoi_lerobot.evaluate.results import WEIGHTS, read_results
 from dynahoi_lerobot.evaluate.table import MAIN_COLUMNS, metrics_table
 
 REPOSITORY = Path(__file__).parents[1]
 ROWS = Path(__file__).with_suffix(".yaml")
+ENDS = {"missed": ("missed",), "touched": ("touched",), "gripped": ("enclosed", "slipped")}
+"""How episodes of the contact track fail, by their stages."""
 SMALLEST_TRAINING = "--steps=2 --batch_size=2 --save_freq=2 --num_workers=0 --policy.device=cpu"
 TINY = {
     "only": ["ACT, true state"],
@@ -133,8 +137,23 @@ def main() -> None:
             minutes[f"{row.name}, seed {seed}"] = json.loads(done(training).read_text())["processor_minutes"]
     if not args.dry_run:
         print(as_markdown(runs, minutes))
-        metrics = {name: json.loads((folder / METRICS_FILE).read_text())["metrics"] for name, folder in runs.items()}
-        write_numbers(args, metrics=metrics, minutes=minutes)
+        known = json.loads(args.json.read_text())["runs"] if args.json and args.json.exists() else {}
+        write_numbers(args, runs=known | {name: figures(folder, minutes[name]) for name, folder in runs.items()})
+
+
+def figures(folder: Path, minutes: float) -> dict[str, Any]:
+    """Return what docs/figures tells of a result folder; ``checkpoint`` is the one that ships with its weights."""
+    results = read_results(folder)
+    weights = results.info.extra[WEIGHTS]
+    shipped = [path.name for path in (REPOSITORY / "checkpoints").iterdir() if folder_weights(path) == weights]
+    told = {"checkpoint": shipped[0]} if shipped else {}
+    by_category = {name: asdict(summary["S_loc"]) for name, summary in results.by("category").items()}
+    metrics = {name: asdict(estimate) for name, estimate in results.summary.items()}
+    stages = Counter(row["stage"] for row in results.rows)
+    ends = {name: sum(map(stages.__getitem__, parts)) / stages.total() for name, parts in ENDS.items()}
+    metrics |= {name: {"value": share, "unit": "fraction"} for name, share in ends.items()}
+    ran = provenance() | {"command": results.info.command, "benchmark": pinned_benchmark(), WEIGHTS: weights}
+    return told | ran | {"minutes": minutes, "metrics": metrics, "by_category": by_category}
 
 
 def done(folder: Path) -> Path:

@@ -1,6 +1,7 @@
 """Can the benchmark be solved without predicting? Baselines that do not, in the simulator, beside the expert.
 
 python benchmarks/validity.py [--episodes 220] [--control standard late] [--hand opposed] [--json FILE]
+python benchmarks/validity.py --episodes 1000 --control standard late unlimited --json docs/figures/baselines.json
 python benchmarks/validity.py --search 1760 [--search-class unlimited] [--homes 8] [--save FILE]
 
 Brackets are Wilson's 95 % intervals. --search looks for a better fixed path on that many episodes of train and prints
@@ -14,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from support.home_clusters import cluster, hits_by_cluster, homes_of, nearest
-from support.options import benchmark_parser, write_numbers
+from support.options import benchmark_parser, pinned_benchmark, write_numbers
 from support.path_search import relative_paths, search_path
 
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES
@@ -53,7 +54,7 @@ def main() -> None:
     tables = {
         control: {name: play(control, name, specs, args.hand) for name in args.baselines} for control in args.control
     }
-    write_numbers(args, classes=tables, found=found)
+    write_numbers(args, benchmark=pinned_benchmark(), classes=tables, found=found)
 
 
 def play(control: str, name: str, specs: Sequence[EpisodeSpec], hand: str) -> dict[str, Rate]:

@@ -8,21 +8,36 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import json
 import re
+import secrets
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from markupsafe import Markup
+
 from dynahoi_lerobot.core.arguments import CommandError, path
 from dynahoi_lerobot.core.control_mode import JOINTS
+from dynahoi_lerobot.core.reading import GIB, read_object, reading, regular
+from dynahoi_lerobot.dataset.card import markdown_template
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import CARD_PATH, CODEBASE_VERSION, INFO_PATH, MANIFEST_PATH
-from dynahoi_lerobot.evaluate.checkpoint import CONFIG, PICKLES, folder_weights, hint_at_checkpoint, trained_for
-from dynahoi_lerobot.evaluate.replay_results import changed_rules
+from dynahoi_lerobot.evaluate.arguments import add_trust_argument
+from dynahoi_lerobot.evaluate.checkpoint import (
+    CONFIG,
+    PLUGINS,
+    TRAINING,
+    checked_folder,
+    folder_weights,
+    hint_at_checkpoint,
+    load_policy,
+    trained_for,
+)  # fmt: skip
+from dynahoi_lerobot.evaluate.replay_results import changed_rules, check_episodes, check_results, drawn, open_recipe
 from dynahoi_lerobot.evaluate.results import ACTIONS_FILE, EPISODES_FILE, METRICS_FILE, WEIGHTS, Results, read_results
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.splits import split_of
@@ -40,6 +55,12 @@ RESULTS = "results"
 IGNORED = [".cache/**", "training_state/**", "**/__pycache__/**", "__pycache__/**"]
 NAME_LENGTH = 120
 """Characters of the longest name of a result folder; a longer one is cut and ends with digits of a hash."""
+OPTIONS = {"policy": "results", "full": "results", "replace": "checkpoint", "trust": "checkpoint"}
+"""Options that are for a push of one kind."""
+REPLAYED = 8
+"""Episodes of results that are replayed before they are pushed."""
+LARGEST_FILE = 50 * GIB
+"""Largest file that the Hub takes."""
 SHOWN_METRICS = ("S_hold", "S_joint", "S_loc")
 """Metrics of results that a model card lists."""
 
@@ -63,6 +84,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--replace", action="store_true", help="checkpoints only: overwrite different weights and delete their results"
     )
     parser.add_argument("--policy", help="results only: name of the evaluated policy, if it differed")
+    parser.add_argument(
+        "--full", action="store_true", help=f"results only: replay all episodes, not {REPLAYED} of them"
+    )
+    add_trust_argument(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -73,9 +98,14 @@ def run(args: argparse.Namespace) -> int:
         ValueError: for a bad argument, or a folder that nobody should push.
     """
     kind = kind_of(args.folder)
-    for option, wanted in (("policy", "results"), ("replace", "checkpoint")):
+    for option, wanted in OPTIONS.items():
         if getattr(args, option) and kind != wanted:
             raise ValueError(f"--{option} is for a push of {wanted}; {args.folder} holds this: {kind}")
+    for entry in args.folder.rglob("*"):
+        if entry.is_symlink():
+            raise ValueError(f"{entry} is a link, and what it leads to is not uploaded; put a copy in its place")
+        if not entry.is_dir():
+            regular(entry, LARGEST_FILE)
     try:
         pushed = PUSHES[kind](args, Repository.open(args.repo, "dataset" if kind == "dataset" else "model"))
     except (CommandError, ValueError, ModuleNotFoundError):
@@ -93,7 +123,7 @@ def kind_of(folder: Path) -> str:
         ValueError: if it is none of them.
     """
     for kind, file in KIND_FILES.items():
-        if (folder / file).is_file():
+        if (folder / file).exists():
             return kind
     known = ", ".join(f"{kind} ({file})" for kind, file in KIND_FILES.items())
     raise ValueError(f"{folder} holds none of these: {known}{hint_at_checkpoint(folder)}")
@@ -183,7 +213,7 @@ def push_dataset(args: argparse.Namespace, repository: Repository) -> str:
     manifest = Manifest.read(args.folder)
     if MANIFEST_PATH in repository.claim(args.folder, private=args.private):
         there = repository.api.hf_hub_download(repository.name, MANIFEST_PATH, repo_type=repository.kind)
-        if _json_value(Path(there), "sha256") != manifest.digest:
+        if read_object(Path(there)).get("sha256") != manifest.digest:
             raise CommandError(f"{repository.name} holds another dataset; choose another name")
     repository.upload(args.folder)
     versions = manifest.benchmark.split(", ")
@@ -197,11 +227,10 @@ def push_checkpoint(args: argparse.Namespace, repository: Repository) -> str:
     """Push a checkpoint, with a card if it has none; over other weights only with ``--replace``.
 
     Raises:
-        ValueError: if it holds a pickle, which our loader refuses, or names no policy type.
+        PolicyError: if our loader refuses it.
     """
     folder = args.folder
-    if pickles := sorted(p.name for p in folder.rglob("*") if p.suffix.lower() in PICKLES):
-        raise ValueError(f"{folder} holds the pickle {pickles[0]}, which nobody should load; save it as safetensors")
+    load_policy(checked_folder(str(folder), trust=args.trust), "cpu", trust=args.trust)
     card = checkpoint_card(folder, repository.name)
     held = repository.claim(folder, private=args.private)
     there = repository.weights()
@@ -222,7 +251,7 @@ def push_results(args: argparse.Namespace, repository: Repository) -> str:
 
     Raises:
         CommandError: if the repository holds no checkpoint, or nothing shows that the results are of it.
-        ResultsError: if the folder is incomplete or damaged.
+        ReadError: if the folder is incomplete or damaged.
     """
     from huggingface_hub import ModelCard
 
@@ -233,11 +262,37 @@ def push_results(args: argparse.Namespace, repository: Repository) -> str:
     if CONFIG not in held:
         raise CommandError(f"{repository.name} holds no checkpoint; push it before its results")
     _check_policy(results, repository, args.policy or "")
+    doubt = _replayed(results, None if args.full else REPLAYED)
     repository.upload(args.folder, path_in_repo=f"{RESULTS}/{name}", allow_patterns=played)
-    if CARD_PATH in held:
-        card = ModelCard.load(api.hf_hub_download(repository.name, CARD_PATH), ignore_metadata_errors=True)
+    if CARD_PATH in held or doubt:
+        there = api.hf_hub_download(repository.name, CARD_PATH) if CARD_PATH in held else None
+        card = ModelCard.load(there, ignore_metadata_errors=True) if there else ModelCard("---\n---\n")
+        card.text = _with_doubt(card.text, name, doubt)
         repository.upload_card(with_results(card, repository.name, results, name))
     return repository.address
+
+
+def _replayed(results: Results, count: int | None) -> str:
+    """Replay ``count`` random episodes, all for None; return why that cannot show anything here, empty if it did.
+
+    Raises:
+        CommandError: if the results are not those of their commands.
+    """
+    if results.info.fingerprint != results.recipe().fingerprint():
+        return "they are of another version of the code, other libraries or another kind of processor"
+    chosen = drawn(len(results.rows), count, secrets.randbits(32))
+    recipe = open_recipe(results)
+    episodes = (finding for found in check_episodes(results, recipe, chosen) for finding in found)
+    if finding := next(chain(check_results(results, recipe), episodes), None):
+        raise CommandError(f"{results.folder} was not pushed, because its commands lead to other results: {finding}")
+    return ""
+
+
+def _with_doubt(text: str, name: str, doubt: str) -> str:
+    """Return the text of a card that says in its first line why results were not replayed; none if they were."""
+    mark = f"> The results `{name}` were not replayed before they were pushed:"
+    rest = "\n".join(line for line in text.split("\n") if not line.startswith(mark)).strip()
+    return f"{mark} {doubt}.\n\n{rest}\n" if doubt else f"{rest}\n"
 
 
 def push_environment(args: argparse.Namespace, repository: Repository) -> str:
@@ -273,7 +328,7 @@ def variant(results: Results) -> str:
     It says the rules, whatever of the recipe is not the benchmark's, and the number of episodes of a part of a split.
 
     Raises:
-        ResultsError: if the results do not say what was played.
+        ReadError: if the results do not say what was played.
         ValueError: if there is no such split, capture rule or control class.
     """
     info = results.info
@@ -287,17 +342,17 @@ def variant(results: Results) -> str:
     return name if len(name) <= NAME_LENGTH else f"{name[: NAME_LENGTH - 9]}_{digest}"
 
 
-PLUGINS = ("obact", "actiontokens")
-"""Policy types with a distribution of their own in this repository."""
 CARD = """
-# {name}
+# {{ name }}
 
-A `{type}` policy of [LeRobot](https://github.com/huggingface/lerobot) for catching moving objects with a
-dexterous hand. {rules}
+A `{{ type }}` policy of [LeRobot](https://github.com/huggingface/lerobot) for catching moving objects with a
+dexterous hand.
+{%- if rules %} It was trained for
+{%- for key, value in rules.items() %} {{ key }} `{{ value }}`{{ "." if loop.last else "," }}{% endfor %}{% endif %}
 
 ```bash
-pip install ".[lerobot]" ./envs/lerobot_env_dynahoi{needed}   # in a checkout of dynahoi-lerobot
-dynahoi evaluate --policy {repo} --split test --out results/{name}
+pip install ".[lerobot]" ./envs/lerobot_env_dynahoi{{ needed }}   # in a checkout of dynahoi-lerobot
+dynahoi evaluate --policy {{ repo }} --split test --out results/{{ name }}
 ```
 """
 
@@ -306,23 +361,25 @@ def checkpoint_card(folder: Path, repo: str) -> ModelCard:
     """Return the card of a ``pretrained_model`` folder.
 
     Raises:
-        ValueError: if its config is no JSON object with a policy type.
+        ReadError: if its config is no JSON object with a policy type.
     """
     from huggingface_hub import ModelCard, ModelCardData
 
-    kind = _json_value(folder / CONFIG, "type")
-    if not isinstance(kind, str):
-        raise ValueError(f"{folder / CONFIG} names no policy type; name a pretrained_model folder")
-    dataset = (_json_value(folder / "train_config.json", "dataset") or {}).get("repo_id") or ""
+    config = read_object(folder / CONFIG, {"type": str})
+    kind, training = config["type"], folder / TRAINING
+    with reading(training):
+        told = read_object(training) if training.exists() else {}
+        dataset = str((told.get("dataset") or {}).get("repo_id") or "")
+    needed = Markup(f" ./policies/{PLUGINS[kind]}" if kind in PLUGINS else "")
     data = ModelCardData(
-        library_name="lerobot", license=_json_value(folder / CONFIG, "license") or "apache-2.0",
+        library_name="lerobot", license=str(config.get("license") or "apache-2.0"),
         pipeline_tag="robotics", tags=["lerobot", "robotics", "dynahoi", kind],
         datasets=[dataset] if "/" in dataset else None,
     )  # fmt: skip
-    needed = f" ./policies/lerobot_policy_{kind}" if kind in PLUGINS else ""
     told = {"control_mode": JOINTS} | trained_for(folder)
-    rules = "It was trained for " + ", ".join(f"{name} `{value}`" for name, value in sorted(told.items())) + "."
-    body = CARD.format(name=repo.rpartition("/")[2], type=kind, repo=repo, needed=needed, rules=rules)
+    body = markdown_template(CARD).render(
+        name=repo.rpartition("/")[2], type=kind, repo=repo, needed=needed, rules=dict(sorted(told.items()))
+    )
     return ModelCard(f"---\n{data.to_yaml()}\n---\n{body}")
 
 
@@ -358,14 +415,6 @@ def _sentence(error: BaseException) -> str:
     if cause := error.__cause__ or error.__context__:
         return _sentence(cause)
     return f"the upload failed ({type(error).__name__}: {error}); {RESUME}"
-
-
-def _json_value(path: Path, key: str) -> Any:
-    """Return a value of a JSON file, None if the file or the value is not there."""
-    try:
-        return json.loads(path.read_text(encoding="utf-8")).get(key)
-    except (OSError, ValueError, AttributeError):
-        return None
 
 
 def _text(value: Any) -> str:

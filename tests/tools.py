@@ -45,9 +45,9 @@ def install(site: Path, distribution: str, modules: dict[str, str]) -> None:
         (site / f"{name}.py").write_text(source)
 
 
-def generated(root: Path, *words: str) -> Path:
-    """Generate a dataset of two episodes by command, with further words."""
-    assert main(["generate", "--root", str(root), "--episodes", "2", *words]) == 0
+def generated(root: Path, *words: str, episodes: int = 2) -> Path:
+    """Generate a dataset of a few episodes by command, with further words."""
+    assert main(["generate", "--root", str(root), "--episodes", str(episodes), *words]) == 0
     return root
 
 

@@ -1,15 +1,24 @@
 """The options that all benchmarks share, and the file in which they leave their numbers."""
 
 import argparse
+import hashlib
 import json
 import os
 import platform
+import re
+import shlex
+import subprocess
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from dynahoi_lerobot.core.arguments import path
 from dynahoi_lerobot.core.files import check_output
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+
+REPOSITORY = Path(__file__).parents[2]
+PINNED = REPOSITORY / "tests" / "sampling" / "benchmark_digests.json"
 
 
 class _SetAll(argparse.Action):
@@ -55,12 +64,30 @@ def benchmark_parser(description: str | None, **tiny: Any) -> argparse.ArgumentP
 
 
 def write_numbers(args: argparse.Namespace, **numbers: Any) -> None:
-    """Write ``numbers`` beside the settings and the machine to ``args.json``, if that is given."""
+    """Write ``numbers`` to ``args.json``, if that is given, beside the settings, the machine and what was run."""
     if args.json is None:
         return
     settings = {name: value for name, value in vars(args).items() if name not in ("json", "tiny")}
-    machine = {"cores": os.cpu_count(), "processor": platform.machine(), "python": platform.python_version()}
+    machine = {"cores": os.cpu_count(), "python": platform.python_version()}
     args.json.parent.mkdir(parents=True, exist_ok=True)
     args.json.write_text(
-        json.dumps({"settings": settings, "machine": machine, **numbers}, indent=2, default=str) + "\n"
+        json.dumps({"settings": settings, "machine": machine, **provenance(), **numbers}, indent=1, default=str) + "\n"
     )
+
+
+def provenance() -> dict[str, str]:
+    """Return the command, the commit, ``-dirty`` if files differ from it, and the name of the processor."""
+    git = ["git", "-C", str(REPOSITORY), "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
+    commit = subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip()
+    names = re.findall(r"^model name\s*: (.*)$", _text(Path("/proc/cpuinfo")), re.MULTILINE)
+    command = shlex.join(["python", f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]])
+    return {"command": command, "commit": commit or "unknown", "processor": (names or [platform.machine()])[0]}
+
+
+def pinned_benchmark() -> dict[str, str]:
+    """Return the version of the benchmark and a digest of all that is pinned of it."""
+    return {"version": BENCHMARK.version, "digest": hashlib.sha256(PINNED.read_bytes()).hexdigest()[:16]}
+
+
+def _text(path: Path) -> str:
+    return path.read_text() if path.exists() else ""

@@ -3,13 +3,17 @@
 import argparse
 import importlib
 import logging
+import signal
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
+from dynahoi_lerobot import __version__
 from dynahoi_lerobot.core.arguments import CommandError
-from dynahoi_lerobot.core.files import check_output, printable
+from dynahoi_lerobot.core.escaping import Terminal
+from dynahoi_lerobot.core.files import check_output
 
 COMMANDS = {
     "quickstart": ("dynahoi_lerobot.cli.quickstart", "generate, train, evaluate and report on a CPU in minutes"),
@@ -19,6 +23,7 @@ COMMANDS = {
     "pretrain": ("dynahoi_lerobot.pretrain.command", "pretrain an image encoder on random poses"),
     "evaluate": ("dynahoi_lerobot.evaluate.command", "evaluate a policy or a baseline on a split"),
     "report": ("dynahoi_lerobot.report.page", "write an HTML report of result folders"),
+    "play": ("dynahoi_lerobot.play.command", "serve a page on which a person catches, is scored and records"),
     "push": ("dynahoi_lerobot.hub", "upload a dataset, a checkpoint, results or the environment to the Hub"),
     "view": ("dynahoi_lerobot.cli.view", "render an episode as GIF, MP4 or HTML"),
     "doctor": ("dynahoi_lerobot.doctor", "check this machine and installation"),
@@ -28,6 +33,7 @@ COMMANDS = {
 
 FAILED, BAD_INPUT, STOPPED = 1, 2, 130
 EXTRAS = {"datatrove": "scale", "ray": "scale", "openai": "vlm", "pydantic": "vlm"}
+EXTRAS["aiohttp"] = "play"
 EXTRAS |= dict.fromkeys(("lerobot", "torch", "huggingface_hub", "httpx"), "lerobot")
 """Extra that installs a package."""
 LONGEST = 800
@@ -52,12 +58,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     logging.getLogger("lerobot.utils.import_utils").setLevel(logging.ERROR)
     words = list(sys.argv[1:] if argv is None else argv)
     parser = _Parser(prog="dynahoi", description="Catching moving objects with a dexterous hand.")
+    parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
     commands = parser.add_subparsers(dest="command", required=True)
     for name, (module, text) in COMMANDS.items():
         command = commands.add_parser(name, help=text, description=text)
         if words[:1] == [name]:
             importlib.import_module(module).add_arguments(command)
     spoken = " ".join(["dynahoi", *(word for word in words[:1] if word in COMMANDS)])
+
+    with suppress(ValueError):  # outside the main thread
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # removes what is half made
 
     def run() -> int:
         args = parser.parse_args(words)
@@ -69,6 +79,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def exit_code(spoken: str, run: Callable[[], int]) -> int:
     """Return the exit code of ``run``, or print in one sentence, after what was ``spoken``, what stopped it."""
+    with redirect_stdout(Terminal(sys.stdout)), redirect_stderr(Terminal(sys.stderr)):
+        return _exit_code(spoken, run)
+
+
+def _exit_code(spoken: str, run: Callable[[], int]) -> int:
     try:
         return run()
     except ModuleNotFoundError as error:
@@ -88,7 +103,7 @@ def exit_code(spoken: str, run: Callable[[], int]) -> int:
 def _sentence(error: Exception) -> str:
     """Return the message in one printable line, without its middle if a value makes it very long."""
     told = (error.filename, error.strerror) if isinstance(error, OSError) and error.strerror else (error,)
-    sentence = printable(" ".join(": ".join(str(part) for part in told if part).split()))
+    sentence = " ".join(": ".join(str(part) for part in told if part).split())
     return sentence if len(sentence) <= LONGEST else f"{sentence[: LONGEST // 2]} ... {sentence[-LONGEST // 2 :]}"
 
 

@@ -23,6 +23,7 @@ from tqdm import tqdm
 from dynahoi_lerobot.cli import main as cli
 from dynahoi_lerobot.core.arguments import CommandError, path, whole
 from dynahoi_lerobot.core.working_folder import working_folder
+from dynahoi_lerobot.dataset.paths import check_root
 from dynahoi_lerobot.doctor import cores
 from dynahoi_lerobot.evaluate.checkpoint import WEIGHTS
 from dynahoi_lerobot.evaluate.results import read_results
@@ -82,14 +83,14 @@ def run(args: argparse.Namespace) -> int:
 
     Raises:
         CommandError: if a stage fails; the message names it and its log.
-        ValueError: if packages for training are missing.
+        ValueError: if packages for training are missing, or LeRobot cannot open a dataset below this path.
     """
     if missing := [name for name in NEEDS if importlib.util.find_spec(name) is None]:
         raise ValueError(
             f"training needs {', '.join(missing)}: pip install '.[lerobot]' ./envs/lerobot_env_dynahoi "
             "./policies/lerobot_policy_obact, in a checkout"
         )
-    out = args.out.resolve()
+    check_root(out := args.out.resolve())
     size = TINY if args.tiny else Size(args.episodes, args.steps, args.evaluation_episodes)
     start = time.monotonic()
     with working_folder(out, {"quickstart": asdict(size)}):

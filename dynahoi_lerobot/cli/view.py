@@ -19,7 +19,9 @@ from dynahoi_lerobot.core.conventions import CONTROL_HZ, DEFAULT_IMAGE_SIZE_PX, 
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import IMAGE_PREFIX
 from dynahoi_lerobot.core.files import write_atomically
+from dynahoi_lerobot.core.reading import reading
 from dynahoi_lerobot.core.rules import is_acting
+from dynahoi_lerobot.dataset.store import open_dataset
 from dynahoi_lerobot.evaluate.arguments import TRAINED_FOR, add_trust_argument, make_actor, playing_rules
 from dynahoi_lerobot.evaluate.gif import encode_gif, frame_phases, phases_of
 from dynahoi_lerobot.evaluate.results import read_results
@@ -106,12 +108,14 @@ def _sample(args: argparse.Namespace) -> int:
         raise ValueError("--sample takes its episodes from --dataset DIR")
     if args.out.suffix != ".html":
         raise ValueError(f"--sample writes a web page, so --out must end in .html, got {args.out}")
-    dataset = _open_dataset(args.dataset)
+    dataset = open_dataset(args.dataset)
     if "motion" not in dataset.meta.episodes.column_names:
         raise ValueError(
             f"{args.dataset} does not name the motions of its episodes, so there is nothing to stratify by"
         )
-    shown = write_sample(args.out, dataset, _camera_key(args, dataset), args.sample)
+    key = _camera_key(args, dataset)
+    with reading(args.dataset):
+        shown = write_sample(args.out, dataset, key, args.sample)
     print(f"{shown} episodes of {args.dataset}: {args.out}; mark some, and it prints the command that removes them")
     return 0
 
@@ -159,10 +163,12 @@ def _clip(episode: Episode, view: str, agent: str) -> Clip:
 
 def _from_dataset(args: argparse.Namespace) -> Clip:
     """Read an episode of a dataset with LeRobot."""
-    dataset = _open_dataset(args.dataset)
+    dataset = open_dataset(args.dataset)
     if not 0 <= args.episode < dataset.num_episodes:
         raise ValueError(f"--episode must be 0 to {dataset.num_episodes - 1}, got {args.episode}")
-    frames, items, images = read_episode(dataset, args.episode, _camera_key(args, dataset))
+    key = _camera_key(args, dataset)
+    with reading(args.dataset):
+        frames, items, images = read_episode(dataset, args.episode, key)
     return Clip(images, str(items[0]["task"]), _stored_phases(args.dataset, frames), dataset.fps)
 
 
@@ -180,17 +186,6 @@ def _stored_phases(root: Path, frames: range) -> list[str] | None:
     if phase is None or localized is None:
         return None
     return frame_phases(is_acting(phase[frames]), localized[frames, 0].astype(bool))
-
-
-def _open_dataset(root: Path) -> Any:
-    from lerobot.datasets.lerobot_dataset import LeRobotDataset
-
-    if not (root / "meta" / "info.json").is_file():  # LeRobot would look for it on the Hub
-        raise ValueError(f"{root} is no LeRobot dataset (it lacks meta/info.json)")
-    try:
-        return LeRobotDataset(root.resolve().name, root=root)
-    except Exception as error:  # whatever a damaged file makes its reader raise
-        raise ValueError(f"cannot read the dataset {root} ({type(error).__name__}); run `dynahoi verify`") from error
 
 
 # -- files ------------------------------------------------------------------------------------------------------------

@@ -5,11 +5,12 @@ import json
 import os
 import socket
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from dynahoi_lerobot.core.files import write_atomically
+from dynahoi_lerobot.core.reading import ReadError, read_object
 
 LOCK, TASK = "lock", "plan.json"
 """Files of a working folder besides the work: what its process holds, and what it is for."""
@@ -38,11 +39,11 @@ def exclusive(folder: Path) -> Iterator[None]:
 
     Raises:
         BlockingIOError: if another process holds it.
-        FileExistsError: if a link has the lock's name; what it points to would be overwritten.
+        FileExistsError: if a link, hard or symbolic, has the lock's name; what it leads to would be overwritten.
     """
-    if (folder / LOCK).is_symlink():
-        raise FileExistsError(f"{folder / LOCK} is a link, not a lock; remove it or choose another folder")
-    with (folder / LOCK).open("a+") as file:
+    if (lock := folder / LOCK).is_symlink() or (lock.exists() and not (lock.is_file() and lock.stat().st_nlink == 1)):
+        raise FileExistsError(f"{lock} is a link, not a lock; remove it or choose another folder")
+    with lock.open("a+") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -55,16 +56,14 @@ def exclusive(folder: Path) -> Iterator[None]:
             file.flush()
             yield
         finally:
-            (folder / LOCK).unlink(missing_ok=True)
+            lock.unlink(missing_ok=True)
 
 
 def read_task(path: Path) -> dict[str, Any] | None:
     """Return the task that a folder belongs to, None if it cannot be read."""
-    try:
-        content = json.loads((path / TASK).read_text())
-    except (OSError, ValueError):
-        return None
-    return content if isinstance(content, dict) else None
+    with suppress(ReadError):
+        return read_object(path / TASK)
+    return None
 
 
 def differences(found: dict[str, Any], wanted: dict[str, Any]) -> str:

@@ -1,21 +1,28 @@
 """The dataset card, ``README.md``, and its histograms. The same dataset gives the same bytes."""
 
+from __future__ import annotations
+
+import html
 import math
 from bisect import bisect_right
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
 
 from dynahoi_lerobot.core.control_mode import mode_of
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
+from dynahoi_lerobot.core.escaping import markdown
 from dynahoi_lerobot.core.features import FEATURES, IMAGE_PREFIX, Feature, action_feature, image_feature
 from dynahoi_lerobot.dataset.columns import LANGUAGE
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import CARD_PATH, CODEBASE_VERSION, HISTOGRAM_PATH
 from dynahoi_lerobot.dataset.store import Store, frame_column
+
+if TYPE_CHECKING:
+    from jinja2 import Template
 
 METADATA = {
     "license": "apache-2.0",
@@ -40,14 +47,12 @@ BINS = 50
 
 def write_card(store: Store, manifest: Manifest) -> None:
     """Write the card and its histograms of a dataset that lacks only these and the manifest, which lists no files."""
-    from jinja2 import StrictUndefined, Template
-
     histograms = {key: HISTOGRAM_PATH.format(key=key) for key in DRAWN}
     for key, name in histograms.items():
         (path := store.root / name).parent.mkdir(exist_ok=True)
         path.write_text(histogram_svg(frame_column(store.root, key), store.features[key]["names"]), encoding="utf-8")
     metadata = METADATA | {"size_categories": [_size_category(manifest.frames)]}
-    template = Template(Path(__file__).with_suffix(".md").read_text(), undefined=StrictUndefined)
+    template = markdown_template(Path(__file__).with_suffix(".md").read_text())
     (action_size,) = store.features["action"]["shape"]
     text = template.render(
         metadata=yaml.safe_dump(metadata, sort_keys=False).rstrip(),
@@ -56,7 +61,7 @@ def write_card(store: Store, manifest: Manifest) -> None:
         action_size=action_size,
         recipe=manifest.provenance.get("recipe", {}),
         yields=manifest.yields,
-        provenance=yaml.safe_dump(manifest.provenance, sort_keys=False),
+        provenance=yaml.safe_dump(manifest.provenance, sort_keys=False).replace("```", "'''"),
         fps=CONTROL_HZ,
         version=CODEBASE_VERSION,
         successes=sum(row["success"] for row in store.rows),
@@ -67,6 +72,16 @@ def write_card(store: Store, manifest: Manifest) -> None:
         episode_columns=[_cells(f.key, f.dtype, _episode_shape(f), f.unit, f.meaning) for f in store.array_features],
     )
     (store.root / CARD_PATH).write_text(text, encoding="utf-8")
+
+
+def markdown_template(text: str) -> Template:
+    """Return a template that escapes what it is given, unless the template calls it safe."""
+    from jinja2 import Environment, StrictUndefined
+
+    environment = Environment(
+        undefined=StrictUndefined, finalize=lambda value: markdown(value) if type(value) is str else value
+    )
+    return environment.from_string(text)
 
 
 def _counts(store: Store, column: str) -> dict[str, tuple[int, int]]:
@@ -95,7 +110,9 @@ def _episode_shape(feature: Feature) -> Sequence[object]:
 
 
 def _cells(key: str, dtype: str, shape: Sequence[object], unit: str, meaning: str) -> list[str]:
-    return [f"`{key}`", dtype, " x ".join(map(str, shape)), unit, meaning]
+    from markupsafe import Markup
+
+    return [key, dtype, " x ".join(map(str, shape)), Markup(unit), Markup(meaning)]
 
 
 def _size_category(rows: int) -> str:
@@ -137,6 +154,7 @@ def _panel(name: str, values: np.ndarray) -> str:
     outline = f"M0,{baseline}" + "".join(f"V{bar:.1f}h{WIDTH / BINS:.2f}" for bar in bars) + f"V{baseline}Z"
     label = f'font-size="9" fill="{TEXT}" y="{baseline + 11}"'
     return (
-        f'<text x="0" y="{TOP - 4}" font-size="11" fill="{TEXT}">{name}</text><path d="{outline}" fill="{INK}"/>'
+        f'<text x="0" y="{TOP - 4}" font-size="11" fill="{TEXT}">{html.escape(str(name))}</text>'
+        f'<path d="{outline}" fill="{INK}"/>'
         f'<text x="0" {label}>{low:.3g}</text><text x="{WIDTH}" {label} text-anchor="end">{high:.3g}</text>'
     )

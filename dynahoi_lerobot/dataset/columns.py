@@ -14,7 +14,7 @@ from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import FEATURES, IMAGE_PREFIX, Feature, action_feature, image_feature
 from dynahoi_lerobot.core.rules import is_acting
-from dynahoi_lerobot.dataset.video import Encoding
+from dynahoi_lerobot.dataset.video import MAX_PIXELS, Encoding
 
 Features = dict[str, dict[str, Any]]
 """The feature table of ``info.json``."""
@@ -163,7 +163,10 @@ def _png_cell(image: np.ndarray, number: int) -> dict[str, Any]:
 
 def read_png(cell: dict[str, Any]) -> np.ndarray:
     """Return the image (H, W, 3) uint8 RGB of a cell of the frame table."""
-    return np.asarray(Image.open(io.BytesIO(cell["bytes"])))
+    image = Image.open(io.BytesIO(cell["bytes"]), formats=["PNG"])
+    if image.width * image.height > MAX_PIXELS:
+        raise ValueError(f"an image has {image.width} x {image.height} pixels, more than {MAX_PIXELS}")
+    return np.asarray(image)
 
 
 _IMAGE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])

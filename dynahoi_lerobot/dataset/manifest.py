@@ -5,9 +5,9 @@ import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Self, get_origin, get_type_hints
+from typing import Any, Self, get_type_hints
 
-from dynahoi_lerobot.core.files import sha256
+from dynahoi_lerobot.core.reading import ReadError, read_object, sha256
 from dynahoi_lerobot.dataset.paths import CARD_PATH, MANIFEST_PATH, write_json
 
 FORMAT = 1
@@ -59,15 +59,12 @@ class Manifest:
         """Read it from below ``root``.
 
         Raises:
-            OSError: if there is none.
-            ValueError: if it is not JSON, or of another format.
+            ReadError: if there is none, or it is not JSON of the format.
         """
-        content = json.loads((root / MANIFEST_PATH).read_text())
-        types = {name: get_origin(hint) or hint for name, hint in get_type_hints(cls).items()}
-        if not isinstance(content, dict) or content.pop("format", None) != FORMAT or set(content) != set(types):
-            raise ValueError(f"{root / MANIFEST_PATH} has an unknown format; format {FORMAT} is known")
-        if wrong := [name for name, kind in types.items() if not isinstance(content[name], kind)]:
-            raise ValueError(f"{root / MANIFEST_PATH} holds a {type(content[wrong[0]]).__name__} as {wrong[0]!r}")
+        types = get_type_hints(cls)
+        content = read_object(root / MANIFEST_PATH, types)
+        if content.pop("format", None) != FORMAT or content.keys() != types.keys():
+            raise ReadError(f"{root / MANIFEST_PATH} has an unknown format; format {FORMAT} is known")
         return cls(**content)
 
     def _content(self) -> dict[str, Any]:
@@ -75,23 +72,34 @@ class Manifest:
 
 
 def file_problems(root: Path, manifest: Manifest) -> Iterator[str]:
-    """Yield every file that is missing, has changed or is not in the manifest; every byte is read.
+    """Yield every file that is missing, has changed or is not in the manifest; every byte is read."""
+    yield from structure_problems(root, manifest)
+    yield from (f"{name} has changed: its sha256 is not the manifest's" for name in changed_files(root, manifest))
+
+
+def changed_files(root: Path, manifest: Manifest) -> list[str]:
+    """Return the names of the files that are there with other content; every byte is read.
 
     The card may differ: people edit theirs, and LeRobot's ``push_to_hub`` writes its own.
     """
+    there = [(root / name, digest) for name, digest in manifest.files.items() if _is_inside(name) and name != CARD_PATH]
+    return [path.relative_to(root).as_posix() for path, digest in there if path.is_file() and sha256(path) != digest]
+
+
+def _is_inside(name: str) -> bool:
+    return ".." not in Path(name).parts and not Path(name).is_absolute()
+
+
+def structure_problems(root: Path, manifest: Manifest) -> Iterator[str]:
+    """Yield whether the manifest has changed, and files that are missing or not in it, without reading them."""
     if manifest.sha256 != manifest.digest:
         said, found = manifest.sha256[:12], manifest.digest[:12]
         yield f"{MANIFEST_PATH} has changed: the sha256 of its content is {found}..., it says {said or 'nothing'}..."
-    for name, digest in manifest.files.items():
-        path = root / name
-        if ".." in Path(name).parts or Path(name).is_absolute():
+    for name in manifest.files:
+        if not _is_inside(name):
             yield f"the manifest names {name!r}, outside the dataset"
-        elif name == CARD_PATH:
-            continue
-        elif not path.is_file():
+        elif name != CARD_PATH and not (root / name).is_file():
             yield f"{name} is missing"
-        elif (found := sha256(path)) != digest:
-            yield f"{name} has changed: its sha256 is {found[:12]}..., the manifest says {str(digest)[:12]}..."
     yield from _strays(root, manifest)
 
 

@@ -17,7 +17,7 @@ from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.files import new_folder
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.manifest import Manifest
-from dynahoi_lerobot.dataset.paths import MANIFEST_PATH, FileLimits, reading
+from dynahoi_lerobot.dataset.paths import MANIFEST_PATH, FileLimits
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.video import stored_packets
 from dynahoi_lerobot.dataset.writer import DatasetWriter
@@ -77,13 +77,13 @@ def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest
         raise FileExistsError(f"{output} exists; choose a new folder")
     if not (root / MANIFEST_PATH).is_file():
         raise FileNotFoundError(f"{root} was not written by this project: {MANIFEST_PATH} is missing")
-    with reading(root / MANIFEST_PATH):
-        manifest = Manifest.read(root)
+    manifest = Manifest.read(root)
     if not kept:
         raise ValueError("got no episodes to keep; a dataset needs at least one")
     if unknown := sorted(kept - set(range(store.episodes))):
         raise ValueError(f"episode {unknown[0]} does not exist; {root} holds {store.episodes}")
-    return _assemble(output, [(store, kept)], None, manifest.provenance | {"kept": sorted(kept)}, {})
+    limits = FileLimits(**manifest.provenance.get("limits", {}))
+    return _assemble(output, [(store, kept)], limits, manifest.provenance | {"kept": sorted(kept)}, {})
 
 
 def _assemble(
@@ -101,11 +101,11 @@ def _assemble(
             opened: dict[str, Opened] = {}
             for index, (row, table) in enumerate(store.stored_episodes()):
                 if kept is None or index in kept:
-                    writer.copy(store, row, table, _packets(store, row, opened))
+                    writer.copy(store, row, table, episode_packets(store, row, opened))
         return writer.finish(provenance, yields)
 
 
-def _packets(store: Store, row: EpisodeRow, opened: dict[str, Opened]) -> dict[str, list[Packet]]:
+def episode_packets(store: Store, row: EpisodeRow, opened: dict[str, Opened]) -> dict[str, list[Packet]]:
     """Return the packets of each view of an episode; none without video. Episodes are asked for in their order.
 
     The file of each view that was read last stays in ``opened`` as long as episodes are in it.

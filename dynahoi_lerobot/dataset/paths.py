@@ -1,8 +1,6 @@
 """Where the parts of a LeRobotDataset v3.0 lie on disk, and how large they may grow."""
 
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,6 +19,23 @@ MANIFEST_PATH = "meta/manifest.json"
 CARD_PATH = "README.md"
 HISTOGRAM_PATH = "assets/{key}.svg"
 """The dataset card, which the Hub shows, and its drawings."""
+
+
+UNOPENABLE = ("[", "*", "?", "::")
+"""What LeRobot's reader takes for a pattern or a chain of addresses in a path."""
+
+
+def check_root(root: Path) -> None:
+    """Refuse a folder that LeRobot cannot open, or opens together with its neighbours.
+
+    Raises:
+        ValueError: naming the part of the path.
+    """
+    if found := [part for part in UNOPENABLE if part in str(root.absolute())]:
+        raise ValueError(
+            f"LeRobot cannot open a dataset in {root.absolute()}: it reads {found[0]!r} as part of a pattern; choose a "
+            f"path without {', '.join(UNOPENABLE)}"
+        )
 
 
 @dataclass(frozen=True)
@@ -56,17 +71,3 @@ def write_json(value: Any, path: Path) -> None:
     """Write JSON the way LeRobot does, so that a later edit by its tools shows only what it changed."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(value, indent=4, ensure_ascii=False))
-
-
-@contextmanager
-def reading(path: Path) -> Iterator[None]:
-    """Name the damaged file in whatever its reader raises.
-
-    Raises:
-        ValueError: in one sentence.
-    """
-    try:
-        yield
-    except (OSError, ValueError, LookupError, TypeError) as error:
-        reason = " ".join(str(getattr(error, "strerror", None) or error).split())
-        raise ValueError(f"{path} cannot be read ({type(error).__name__}: {reason})") from error

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Iterator
 from functools import cached_property
 from pathlib import Path
@@ -10,28 +9,52 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import CAMERA_KEY, EPISODE_TABLE_PREFIX, IMAGE_PREFIX, Feature, episode_features
+from dynahoi_lerobot.core.reading import (
+    TEXT_BYTES,
+    ReadError,
+    fits,
+    open_table,
+    read_object,
+    read_rows,
+    read_table,
+    reading,
+    regular,
+)  # fmt: skip
 from dynahoi_lerobot.dataset.columns import Features, column_array, content_values, image_keys, numeric_keys, read_png
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, own_values
-from dynahoi_lerobot.dataset.paths import DATA_PATH, INFO_PATH, TASKS_PATH, VIDEO_PATH, reading
-from dynahoi_lerobot.dataset.video import decode
+from dynahoi_lerobot.dataset.paths import DATA_PATH, INFO_PATH, TASKS_PATH, VIDEO_PATH, check_root
+from dynahoi_lerobot.dataset.video import Encoding, decode
 
 if TYPE_CHECKING:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-ROWS_AT_ONCE = 64
-"""Rows of the episode table that are held in memory: privileged arrays make them 20 kB each."""
+PLACE = ("episode_index", "length", "dataset_from_index", "dataset_to_index", "data/chunk_index", "data/file_index")
+"""Columns of the episode table that say where an episode lies."""
 
 
 def open_dataset(root: Path, **options: Any) -> LeRobotDataset:
-    """Open the dataset with LeRobot; ``options`` go to ``LeRobotDataset`` (``delta_timestamps``, ``episodes``)."""
+    """Open the dataset with LeRobot; ``options`` go to ``LeRobotDataset`` (``delta_timestamps``, ``episodes``).
+
+    Raises:
+        FileNotFoundError: if ``root`` holds no dataset.
+        ReadError: if LeRobot would read what is no file of it, or cannot read it.
+        ValueError: if LeRobot cannot open this path, or reads another number of rows than its episodes have.
+    """
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    return LeRobotDataset(f"local/{root.name}", root=root, **options)
+    check_root(root)
+    (store := Store(root)).check_files()
+    with reading(root):
+        dataset = LeRobotDataset(f"local/{root.name}", root=root, **options)
+    lengths = [row["length"] for row in store.rows]
+    chosen = range(len(lengths)) if dataset.episodes is None else dataset.episodes
+    if (found := dataset.hf_dataset.num_rows) != (wanted := sum(lengths[index] for index in chosen)):
+        raise ValueError(f"LeRobot reads {found} rows of {root}; its episodes have {wanted}; see `dynahoi verify`")
+    return dataset
 
 
 def read_episodes(root: Path, indices: Iterable[int] | None = None, *, images: bool = True) -> Iterator[Episode]:
@@ -120,7 +143,7 @@ class Store:
             FileNotFoundError: if there is none.
         """
         self.root = root
-        if not (root / INFO_PATH).is_file():
+        if not (root / INFO_PATH).exists():
             raise FileNotFoundError(f"{root} is no LeRobot dataset: {INFO_PATH} is missing")
 
     @cached_property
@@ -130,11 +153,30 @@ class Store:
         Raises:
             ValueError: if it is damaged.
         """
-        with reading(path := self.root / INFO_PATH):
-            info = json.loads(path.read_text())
-            if not isinstance(info["features"], dict):
-                raise TypeError("its features are not a JSON object")
-            return info
+        info = read_object(path := self.root / INFO_PATH, {"features": dict[str, dict[str, Any]]})
+        for key, entry in info["features"].items():
+            if "/" in key or not fits([entry.get("dtype"), entry.get("shape")], list[str | list[int]]):
+                raise ReadError(f"{path} describes the feature {key!r} by {entry!r:.200}, which no column has")
+        return info
+
+    def check_files(self) -> None:
+        """Refuse a dataset of which LeRobot would open another file than its own, or one too large for memory."""
+        for name, usual in (("data_path", DATA_PATH), ("video_path", VIDEO_PATH)):
+            if (told := self.info.get(name)) not in (usual, None):
+                raise ReadError(f"{self.root / INFO_PATH} says {name} is {told!r}; it must be {usual!r}")
+        for path in [self.root / TASKS_PATH, *self.row_files(), *self.data_files()]:
+            open_table(path).close()
+        for path in (self.root / "meta").glob("*.json"):
+            regular(path, TEXT_BYTES)
+        for path in self.root.glob("videos/*/*/*"):
+            regular(path)
+        if (told := sum(row["length"] for row in self.rows)) != self.frame_count:
+            raise ReadError(f"{self.root} has {self.frame_count} frames, and episodes of {told}; see `dynahoi verify`")
+
+    @cached_property
+    def frame_count(self) -> int:
+        """Number of rows of the frame table."""
+        return sum(open_table(path, ()).metadata.num_rows for path in self.data_files())
 
     @property
     def features(self) -> Features:
@@ -151,10 +193,18 @@ class Store:
         """Whether images are stored as video."""
         return self.features.get(CAMERA_KEY, {}).get("dtype") == "video"
 
+    @property
+    def encoding(self) -> Encoding:
+        """How images are stored, as the feature table records it; as video where there are none."""
+        if not self.image_keys or not self.has_video:
+            return Encoding("images" if self.image_keys else "h264")
+        info = self.features[self.image_keys[0]]["info"]
+        return Encoding("h264", info["video.crf"], info["video.preset"], info["video.g"])
+
     @cached_property
     def tasks(self) -> list[str]:
-        """The instructions, by task index."""
-        return pq.read_table(self.root / TASKS_PATH).sort_by("task_index")["task"].to_pylist()
+        """The instructions in the table's order, by which LeRobot finds them."""
+        return [row["task"] for row in read_rows(self.root / TASKS_PATH, ["task"])]
 
     @cached_property
     def rows(self) -> list[EpisodeRow]:
@@ -165,9 +215,14 @@ class Store:
         """
         rows: list[EpisodeRow] = []
         for path in self.row_files():
-            with reading(path):
-                names = [name for name in pq.read_schema(path).names if not name.startswith(EPISODE_TABLE_PREFIX)]
-                rows += pq.read_table(path, columns=names).to_pylist()
+            names = open_table(path, ()).schema_arrow.names
+            for row in read_rows(path, [name for name in names if not name.startswith(EPISODE_TABLE_PREFIX)]):
+                places = [name for name in row if name.startswith("videos/") and name.endswith("_index")]
+                if wrong := [name for name in (*PLACE, *places) if not fits(row.get(name), int) or row[name] < 0]:
+                    raise ReadError(f"{path} says {wrong[0]} of an episode is {row.get(wrong[0])!r}")
+                if row["length"] > self.frame_count:
+                    raise ReadError(f"{path} has an episode of {row['length']} frames, beyond all {self.frame_count}")
+                rows.append(row)
         return rows
 
     @property
@@ -182,7 +237,7 @@ class Store:
     @property
     def array_features(self) -> list[Feature]:
         """Our arrays that the episode table holds."""
-        names = pq.read_schema(self.row_files()[0]).names
+        names = open_table(self.row_files()[0], ()).schema_arrow.names
         return [feature for feature in episode_features() if feature.key in names]
 
     def array_feature(self, key: str) -> Feature | None:
@@ -205,16 +260,12 @@ class Store:
         Raises:
             ValueError: if it is missing or damaged.
         """
-        with reading(path):
-            only = None if episode is None else [("episode_index", "=", episode)]
-            return pq.read_table(path, columns=columns, filters=only)
+        return read_table(path, columns, None if episode is None else [("episode_index", "=", episode)])
 
     def full_rows(self) -> Iterator[EpisodeRow]:
         """Yield the rows of the episode table with all their columns."""
         for path in self.row_files():
-            with reading(path), pq.ParquetFile(path) as file:
-                for batch in file.iter_batches(ROWS_AT_ONCE):
-                    yield from batch.to_pylist()
+            yield from read_rows(path)
 
     def data_path(self, row: EpisodeRow) -> Path:
         """Return the file that holds the episode's rows."""
@@ -237,9 +288,11 @@ class Store:
     def images(self, row: EpisodeRow, table: pa.Table, key: str) -> np.ndarray:
         """Return the episode's images of a view, (T, H, W, 3) uint8 RGB."""
         if not self.has_video:
-            return np.stack([read_png(cell) for cell in table[key].to_pylist()])
-        start = round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ)
-        return np.stack(list(decode(self.video_path(row, key), start, start + row["length"])))
+            with reading(self.data_path(row)):
+                return np.stack([read_png(cell) for cell in table[key].to_pylist()])
+        with reading(path := self.video_path(row, key)):
+            start = round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ)
+            return np.stack(list(decode(path, start, start + row["length"])))
 
     def row(self, index: int) -> EpisodeRow:
         """Return an episode's row with all its columns.
@@ -258,7 +311,8 @@ class Store:
         """Return the episode of a row with all its columns and of its frames."""
         keys = self.image_keys if images else []
         views = {key.removeprefix(IMAGE_PREFIX): self.images(row, table, key) for key in keys}
-        return Episode(images=views, **own_values(row), **content_values(table))
+        with reading(self.root):
+            return Episode(images=views, **own_values(row), **content_values(table))
 
     def stored_episodes(self) -> Iterator[tuple[EpisodeRow, pa.Table]]:
         """Yield every episode's full row and its frames; each file is read once.

@@ -22,6 +22,7 @@ from av.video.codeccontext import VideoCodecContext
 from av.video.stream import VideoStream
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
+from dynahoi_lerobot.core.reading import regular
 from dynahoi_lerobot.core.registry import known
 
 av.logging.set_libav_level(av.logging.ERROR)  # what FFmpeg prints wherever LeRobot has restored its own callback
@@ -31,7 +32,7 @@ CODECS = {"h264": "libx264", "images": ""}
 PRESETS = (
     "ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow", "placebo",
 )  # fmt: skip
-MAX_GOP, MAX_CRF = 10_000, 51
+MAX_GOP, MAX_CRF, MAX_PIXELS = 10_000, 51, 4096**2
 FRAME = Fraction(1, CONTROL_HZ)
 """Duration of a frame [s], the unit of time in video files."""
 
@@ -187,7 +188,7 @@ def encoded_stream(container: OutputContainer, encoding: Encoding, image_size: i
 
 def copied_stream(container: OutputContainer, path: Path) -> VideoStream:
     """Give a file the same stream as the video ``path`` has."""
-    with av.open(str(path)) as source:
+    with av.open(str(regular(path)), format="mp4") as source:
         stream = container.add_stream_from_template(source.streams.video[0], opaque=True)
     return cast(VideoStream, stream)
 
@@ -198,14 +199,16 @@ def stored_packets(path: Path) -> Iterator[Packet]:
     Raises:
         OSError: if the file cannot be read as a video.
     """
-    with av.open(str(path)) as container:
+    with av.open(str(regular(path)), format="mp4") as container:
         yield from (packet for packet in container.demux(video=0) if packet.size)  # the last one only flushes
 
 
 def decode(path: Path, start: int = 0, stop: int | None = None) -> Iterator[np.ndarray]:
     """Yield frames ``start`` to ``stop`` (excluded; None for all) of a video as (H, W, 3) uint8 RGB."""
-    with av.open(str(path)) as container:
+    with av.open(str(regular(path)), format="mp4") as container:
         stream = container.streams.video[0]
+        if stream.width * stream.height > MAX_PIXELS:
+            raise ValueError(f"its frames have {stream.width} x {stream.height} pixels, more than {MAX_PIXELS}")
         rate, time_base = cast(Fraction, stream.average_rate), cast(Fraction, stream.time_base)
         if start:
             container.seek(int(start / rate / time_base), stream=stream)

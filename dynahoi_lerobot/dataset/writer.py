@@ -14,7 +14,9 @@ from typing import Any, Self
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from av.container import OutputContainer
 from av.packet import Packet
+from av.video.stream import VideoStream
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.episode import Episode
@@ -62,21 +64,25 @@ def write_episodes(root: Path, episodes: Iterable[Episode], encoding: Encoding |
 
 
 class _Tables:
-    """Parquet files of one kind: each table is a row group, and a new file begins before one would be too large."""
+    """Parquet files of one kind: each table is a row group, and a new file begins before one would be too large.
+
+    Sizes in memory decide, so that no other version of a compressor begins a file elsewhere.
+    """
 
     def __init__(self, root: Path, template: str, schema: pa.Schema, limits: FileLimits) -> None:
         self.schema, self.number = schema, -1
         self._root, self._template, self._limits = root, template, limits
-        self._sink: pa.NativeFile | None = None
         self._writer: pq.ParquetWriter | None = None
+        self._size_bytes = 0
 
     def place_for(self, table: pa.Table) -> tuple[int, int]:
         """Make room for ``table``; return the (chunk, file) index that it goes to."""
-        if self._sink is None or self._sink.tell() + table.nbytes >= self._limits.data_mb * MIB:
+        if self._writer is None or self._size_bytes + table.nbytes >= self._limits.data_mb * MIB:
             self.close()
-            self.number += 1
-            self._sink = pa.OSFile(str(self._limits.path(self._root, self._template, self.number)), "wb")
-            self._writer = pq.ParquetWriter(self._sink, self.schema, compression="snappy", use_dictionary=True)
+            self.number, self._size_bytes = self.number + 1, 0
+            path = self._limits.path(self._root, self._template, self.number)
+            self._writer = pq.ParquetWriter(path, self.schema, compression="snappy", use_dictionary=True)
+        self._size_bytes += table.nbytes
         return self._limits.place(self.number)
 
     def append(self, table: pa.Table) -> None:
@@ -87,10 +93,9 @@ class _Tables:
 
     def close(self) -> None:
         """Finish the current file."""
-        if self._writer is not None and self._sink is not None:
+        if self._writer is not None:
             self._writer.close()
-            self._sink.close()
-        self._writer = self._sink = None
+        self._writer = None
 
 
 class DatasetWriter:
@@ -123,8 +128,9 @@ class DatasetWriter:
 
         Raises:
             FileExistsError: if ``root`` exists.
-            ValueError: if video cannot hold images of this size.
+            ValueError: if video cannot hold images of this size, or LeRobot cannot open this path.
         """
+        paths.check_root(root)
         self._encoding = encoding or Encoding()
         self._encoding.check_size(max((column.shape[0] for column in columns if column.is_image), default=0))
         root.mkdir()
@@ -144,8 +150,8 @@ class DatasetWriter:
         self._n_videos = 0
         self._columns = tuple(columns)
 
-    def add(self, episode: Episode) -> None:
-        """Append one episode.
+    def add(self, episode: Episode, packets: dict[str, list[Packet]] | None = None) -> None:
+        """Append one episode, whose images are encoded, or of which another dataset holds the packets of each view.
 
         Raises:
             ValueError: if it has other columns than the dataset, or images of another size.
@@ -156,7 +162,8 @@ class DatasetWriter:
         row = episode_table.own_columns(episode, self._columns) | {"tasks": [episode.meta.task], "length": len(episode)}
         stats = table_stats(arrays) | {key: image_stats(images[key]) for key in self._image_keys}
         row |= episode_table.stats_columns(stats)
-        packets = {key: encode(images[key], self._encoding) for key in images} if self._encoding.is_video else {}
+        if packets is None:
+            packets = {key: encode(images[key], self._encoding) for key in images} if self._encoding.is_video else {}
         size = max((frames.shape[1] for frames in images.values()), default=0)
         stream = partial(encoded_stream, encoding=self._encoding, image_size=size)
         self._append(row, frame_table.frame_columns(episode, arrays, self._schema), packets, lambda _: stream)
@@ -237,7 +244,7 @@ class DatasetWriter:
         if not self._videos:
             for key in packets:
                 path = self.limits.path(self.root, paths.VIDEO_PATH, self._n_videos, video_key=key)
-                self._videos[key] = VideoFile(path, stream(key))
+                self._videos[key] = self._open_video(path, stream(key))
             self._n_videos += 1
         start = self._videos[next(iter(packets))].frames
         for key, video in self._videos.items():
@@ -245,6 +252,9 @@ class DatasetWriter:
         chunk, file = self.limits.place(self._n_videos - 1)
         times = {"from_timestamp": start / CONTROL_HZ, "to_timestamp": (start + length) / CONTROL_HZ}
         return episode_table.video_columns(packets, {"chunk_index": chunk, "file_index": file} | times)
+
+    def _open_video(self, path: Path, add_stream: Callable[[OutputContainer], VideoStream]) -> VideoFile:
+        return VideoFile(path, add_stream)
 
     def _fits(self, video: VideoFile, packets: list[Packet]) -> bool:
         size_bytes = video.size_bytes + sum(packet.size for packet in packets)

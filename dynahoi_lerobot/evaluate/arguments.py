@@ -6,7 +6,6 @@ from typing import Any
 
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.core.agent import Actor
-from dynahoi_lerobot.core.files import printable
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.experts import EXPERTS
 
@@ -61,5 +60,5 @@ def playing_rules(given: dict[str, Any], actor: Actor) -> dict[str, Any]:
     trained = {name: value for name, value in actor.trained_for.items() if name not in given}
     if trained:
         told = ", ".join(f"--{name.replace('_', '-')} {value}" for name, value in trained.items())
-        print(f"{actor.name} plays as it was trained: {printable(told)}")
+        print(f"{actor.name} plays as it was trained: {told}")
     return trained | given

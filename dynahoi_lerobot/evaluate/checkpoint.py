@@ -4,19 +4,22 @@ LeRobot calls whatever importable object a processor step names, ``subprocess.Po
 random weights where a checkpoint has none. ``docs/notes/trust.md`` says what is refused here, and why.
 """
 
-import json
+import inspect
 import os
-import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import fields
+from math import prod
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from dynahoi_lerobot.core.control_mode import CONTROL_MODES, GRASP
 from dynahoi_lerobot.core.conventions import DETECTOR_IMAGE_SIZE_PX
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, EYE, IMAGE_PREFIX, environment_state_of
-from dynahoi_lerobot.core.files import printable, sha256
+from dynahoi_lerobot.core.reading import ReadError, inside, read_json, read_object, reading, sha256, tensor_types
 
 CONFIG, WEIGHTS, TRAINING = "config.json", "model.safetensors", "train_config.json"
 PIPELINES = ("policy_preprocessor.json", "policy_postprocessor.json")
@@ -26,39 +29,31 @@ POLICY_TYPES = frozenset(
     | {"vqbet", "xvla"}
 )
 """Policies whose own code runs no Python files of the repositories that their configs name."""
-
-_NORMALIZER = frozenset({"features", "norm_map", "eps", "normalize_observation_keys"})
-STEPS: dict[str, frozenset[str]] = {
-    "absolute_actions_processor": frozenset({"enabled"}),
-    "device_processor": frozenset({"device", "float_dtype"}),
-    "normalizer_processor": _NORMALIZER,
-    "observation_processor": frozenset(),
-    "pi05_prepare_state_tokenizer_processor_step": frozenset({"max_state_dim", "task_key"}),
-    "pi0_new_line_processor": frozenset(),
-    "relative_actions_processor": frozenset({"enabled", "exclude_joints", "action_names"}),
-    "rename_observations_processor": frozenset({"rename_map"}),
-    "smolvla_new_line_processor": frozenset(),
-    "to_batch_processor": frozenset(),
-    "tokenizer_processor": frozenset(
-        {"tokenizer_name", "max_length", "task_key", "padding_side", "padding", "truncation"}
-    ),
-    "unnormalizer_processor": _NORMALIZER,
-    "xvla_add_domain_id": frozenset({"domain_id"}),
-    "xvla_image_scale": frozenset({"image_keys"}),
-    "xvla_image_to_float": frozenset({"image_keys", "validate_range"}),
-    "xvla_imagenet_normalize": frozenset({"image_keys"}),
-    "xvla_rotation_6d_to_axis_angle": frozenset({"expected_action_dim"}),
+PLUGINS = {"obact": "lerobot_policy_obact"} | dict.fromkeys(("actiontokens", "upvla"), "lerobot_policy_actiontokens")
+"""Our distribution that brings a policy type."""
+STEPS = ("lerobot.policies.", "lerobot.processor.")
+LOADING_STEPS = "lerobot.processor.hil_processor"
+"""Modules whose processor steps a checkpoint may name without ``--trust``, and one of which loads a second one."""
+LARGEST_NUMBER = 10**7
+"""Largest number in the config of a policy."""
+FLOATS, OTHERS = ("F64", "F32", "F16", "BF16"), {"int64": "I64", "int32": "I32", "uint8": "U8", "bool": "BOOL"}
+"""Types in a file of weights: those that stand for each other, and those of tensors of torch's other types."""
+TENSORS, ELEMENTS = 1000, 10**6
+"""A policy may make so many more than twice what its file holds, such as layers that it replaces."""
+STATISTICS = {
+    "MEAN_STD": ("mean", "std"),
+    "MIN_MAX": ("min", "max"),
+    "QUANTILES": ("q01", "q99"),
+    "QUANTILE10": ("q10", "q90"),
 }
-"""Processor steps that a checkpoint may name without ``--trust``, with the keys that their configs may have."""
-
-STATE_FILE = re.compile(r"[\w.-]+\.safetensors")
+"""What a normaliser reads, by its mode."""
 
 PICKLES = (".bin", ".pt", ".pth", ".pkl", ".ckpt")
 """Suffixes of files that Python unpickles, which runs what they hold; LeRobot's own checkpoints have none."""
 REMEDY = "give a pretrained_model folder, a Hub repository (user/name), or one of the experts"
 
 
-class PolicyError(ValueError):
+class PolicyError(ReadError):
     """A policy that cannot be loaded, or could run code while it is; the message says what in it, and what would do."""
 
 
@@ -76,12 +71,12 @@ def checked_folder(path: str, *, trust: bool = False) -> Path:
             ``trust`` allows that.
     """
     described = described_folder(path)
-    if not (described / CONFIG).is_file():
+    if not (described / CONFIG).exists():
         raise PolicyError(f"{described} holds no policy (no {CONFIG}){hint_at_checkpoint(described)}")
     for finding in _findings(described):
         if not trust:
             raise PolicyError(f"{finding}; give --trust only if you would run a program from the same source")
-        print(f"--trust: {printable(finding)}", file=sys.stderr)
+        print(f"--trust: {finding}", file=sys.stderr)
     if os.path.isdir(path):
         return described
     return _download(path, ["*"] if trust else ["*.safetensors"], revision=described.name)
@@ -100,30 +95,43 @@ def described_folder(path: str) -> Path:
     return _download(path, ["*.json"])
 
 
-def load_policy(folder: Path, device: str | None = None, settings: Sequence[str] = ()) -> tuple[Any, Any, Any]:
+def load_policy(
+    folder: Path, device: str | None = None, settings: Sequence[str] = (), *, trust: bool = False
+) -> tuple[Any, Any, Any]:
     """Return the policy, preprocessor and postprocessor of a checked folder, loaded by LeRobot.
 
     Args:
         folder: of ``checked_folder``.
         device: torch device, the policy's own if None.
         settings: overrides of its config, ``KEY=VALUE`` each.
+        trust: let transformers run Python files of the repositories that the config names.
 
     Raises:
-        PolicyError: if LeRobot cannot load it, or its weights are not exactly those of its policy.
+        PolicyError: if LeRobot cannot load it, its weights are not exactly those of its policy, or a normaliser lacks
+            statistics.
     """
     from lerobot.policies.factory import get_policy_class, make_pre_post_processors
 
-    config = _config(folder, settings)
-    config.device = device or config.device
-    shapes = _stored_shapes(folder / WEIGHTS)
-    overrides = {"device_processor": {"device": str(config.device)}}
-    try:
-        policy = get_policy_class(config.type).from_pretrained(str(folder), config=config).eval()
-        before, after = make_pre_post_processors(config, pretrained_path=str(folder), preprocessor_overrides=overrides)
-    except Exception as error:  # whatever a policy or a processor raises when it is made from a bad checkpoint
-        raise PolicyError(f"{folder} cannot be loaded: {reason(error)}") from error
-    _check_fit(policy.state_dict(), shapes, folder)
-    return policy, before, after
+    with _remote_code(allowed=trust):
+        config = _config(folder, settings)
+        config.device = device or config.device
+        stored = tensor_types(folder / WEIGHTS)
+        for file in sorted({*folder.glob("*.safetensors")} - {folder / WEIGHTS}):
+            if odd := [name for name, (kind, _) in tensor_types(file).items() if kind not in (*FLOATS, "I64")]:
+                raise PolicyError(f"{file} holds {odd[0]!r}, which is no number that statistics have")
+        overrides = {"device_processor": {"device": str(config.device)}}
+        try:
+            _refuse_larger(config, stored)
+            policy = get_policy_class(config.type).from_pretrained(str(folder), config=config).eval()
+            pipelines = make_pre_post_processors(config, pretrained_path=str(folder), preprocessor_overrides=overrides)
+        except PolicyError:
+            raise
+        except Exception as error:  # whatever a policy or a processor raises when it is made from a bad checkpoint
+            raise PolicyError(f"{folder} cannot be loaded: {reason(error)}") from error
+    _check_fit(policy.state_dict(), stored, folder)
+    for name, pipeline in zip(PIPELINES, pipelines, strict=True):
+        _check_statistics(folder / name, pipeline, config)
+    return policy, *pipelines
 
 
 def folder_weights(folder: Path) -> dict[str, str]:
@@ -139,11 +147,11 @@ def trained_for(folder: Path) -> dict[str, Any]:
     ``capture``, ``control_class`` and ``protocol`` come from the recipe of the dataset that ``train_config.json``
     names, if that is on this machine, or else from its ``env``.
     """
-    config, training = (_read_object(file) if (file := folder / name).is_file() else {} for name in (CONFIG, TRAINING))
-    try:
+    config, training = (read_object(file) if (file := folder / name).exists() else {} for name in (CONFIG, TRAINING))
+    with reading(folder / (TRAINING if training else CONFIG)):
         env, root = training.get("env") or {}, (training.get("dataset") or {}).get("root")
         rules = _recipe_of(root) or (env if env.get("type") == "dynahoi" else {})
-        told = {key: rules[key] for key in ("capture", "control_class", "protocol") if rules.get(key)}
+        told = {key: str(rules[key]) for key in ("capture", "control_class", "protocol") if rules.get(key)}
         inputs = config.get("input_features", {})
         if camera := next((feature for key, feature in inputs.items() if key.startswith(IMAGE_PREFIX)), None):
             told["image_size"] = camera["shape"][-1]
@@ -151,8 +159,6 @@ def trained_for(folder: Path) -> dict[str, Any]:
             told |= {"environment_state": EYE, "image_size": DETECTOR_IMAGE_SIZE_PX}
         if config.get("output_features", {}).get("action", {}).get("shape") == [len(CONTROL_MODES[GRASP])]:
             told["control_mode"] = GRASP
-    except (AttributeError, LookupError, TypeError) as error:
-        raise PolicyError(f"{folder / CONFIG} or {TRAINING} is not as LeRobot writes it: {error}") from error
     return told
 
 
@@ -166,10 +172,9 @@ def _recipe_of(root: str | None) -> dict[str, Any]:
     """Return the recipe of the dataset in ``root``, as far as there is one."""
     from dynahoi_lerobot.dataset.manifest import Manifest  # whose package brings in PyAV, which only checkpoints need
 
-    try:
+    with suppress(ReadError):
         return Manifest.read(Path(root)).provenance.get("recipe") or {} if root else {}
-    except (OSError, ValueError):
-        return {}
+    return {}
 
 
 def _download(repository: str, patterns: list[str], revision: str | None = None) -> Path:
@@ -193,15 +198,16 @@ def _findings(folder: Path) -> Iterator[str]:
         if file.suffix.lower() in PICKLES:
             yield f"{file} is a pickle, which runs code when it is opened"
         elif file.suffix == ".json":
-            yield from (f"{file} {problem}" for problem in _remote_code(_read_json(file)))
-    if (kind := str(_read_object(folder / CONFIG).get("type"))) not in POLICY_TYPES:
+            yield from (f"{file} {problem}" for problem in _code_keys(read_json(file)))
+    if (kind := str(read_object(folder / CONFIG).get("type"))) not in POLICY_TYPES:
         yield f"{folder / CONFIG} is of type {kind!r}, which is not on the list of policies known to be safe"
+    _register_steps(kind)
     for file in (folder / name for name in PIPELINES):
-        if file.is_file():
+        if file.exists():
             yield from (f"{file} {problem}" for problem in _pipeline_findings(file))
 
 
-def _remote_code(content: Any) -> Iterator[str]:
+def _code_keys(content: Any) -> Iterator[str]:
     """Yield the keys by which transformers is told to run Python files of a repository, at any depth."""
     if isinstance(content, dict):
         if "auto_map" in content:
@@ -210,37 +216,58 @@ def _remote_code(content: Any) -> Iterator[str]:
             yield "sets trust_remote_code, which runs Python files of a repository"
     if isinstance(content, dict | list):
         for value in content.values() if isinstance(content, dict) else content:
-            yield from _remote_code(value)
+            yield from _code_keys(value)
+
+
+def _register_steps(kind: str) -> None:
+    """Import what registers the processor steps of a type of policy."""
+    try:
+        from lerobot.policies.factory import get_policy_class
+        from lerobot.utils.import_utils import register_third_party_plugins
+    except ImportError as error:
+        raise PolicyError(f"playing a policy needs LeRobot ({error}); install dynahoi_lerobot[lerobot]") from error
+    register_third_party_plugins()
+    with suppress(Exception):  # loading it will say what is wrong with the type
+        get_policy_class(kind)
 
 
 def _pipeline_findings(file: Path) -> Iterator[str]:
-    steps = _read_object(file).get("steps")
-    if not isinstance(steps, list) or not all(isinstance(step, dict) for step in steps):
-        raise PolicyError(f"{file} holds no list of processor steps")
-    for step in steps:
+    from lerobot.processor import ProcessorStepRegistry
+
+    for step in read_object(file, {"steps": list[dict[str, Any]]})["steps"]:
         name, config = step.get("registry_name", step.get("class")), step.get("config", {})
         if not isinstance(config, dict):
             raise PolicyError(f"{file} gives the step {name!r} the config {config!r}, which is no mapping")
-        known = STEPS.get(str(step.get("registry_name")))
-        if known is None:
-            yield f"names the processor step {name!r}, which is not on the list of steps known to be safe"
-        elif surplus := sorted(config.keys() - known):
-            yield f"gives the step {name!r} the key {surplus[0]!r}, which is not on the list of its keys"
-        if (state := step.get("state_file")) is not None and not STATE_FILE.fullmatch(str(state)):
-            yield f"names the state file {state!r}, which is not inside the checkpoint"
+        known = str(step.get("registry_name")) in ProcessorStepRegistry.list()
+        kind: Any = ProcessorStepRegistry.get(step["registry_name"]) if known else object
+        if not kind.__module__.startswith(STEPS) or kind.__module__ == LOADING_STEPS:
+            yield f"names the processor step {name!r}, which is not one of those known to be safe"
+        elif surplus := sorted(config.keys() - inspect.signature(kind).parameters.keys()):
+            yield f"gives the step {name!r} the key {surplus[0]!r}, which it does not have"
+        if (state := step.get("state_file")) is not None:
+            try:
+                inside(file.parent, state)
+            except ReadError:
+                yield f"names the state file {state!r}, which is not inside the checkpoint"
 
 
-def _read_object(file: Path) -> dict[str, Any]:
-    if not isinstance(content := _read_json(file), dict):
-        raise PolicyError(f"{file} must hold a JSON object, not a {type(content).__name__}")
-    return content
+@contextmanager
+def _remote_code(*, allowed: bool) -> Iterator[None]:
+    """Close the door through which transformers runs Python files of repositories, or asks whether to, if need be."""
+    if allowed:
+        yield
+        return
+    from transformers import dynamic_module_utils as door
 
+    def refuse(name: str, *_: object, **__: object) -> None:
+        raise PolicyError(f"it names {name!r}, which would run code of its own; give --trust if you would run that")
 
-def _read_json(file: Path) -> Any:
+    opened, asking = door.get_cached_module_file, door.TIME_OUT_REMOTE_CODE
+    door.get_cached_module_file, door.TIME_OUT_REMOTE_CODE = refuse, 0
     try:
-        return json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise PolicyError(f"{file} cannot be read as JSON ({type(error).__name__})") from error
+        yield
+    finally:
+        door.get_cached_module_file, door.TIME_OUT_REMOTE_CODE = opened, asking
 
 
 # -- what does not fit ------------------------------------------------------------------------------------------------
@@ -250,6 +277,12 @@ def _config(folder: Path, settings: Sequence[str]) -> Any:
     """Open the config, with ``settings`` through LeRobot's own parser."""
     from lerobot.configs import PreTrainedConfig
 
+    told = read_object(folder / CONFIG)
+    if huge := [key for key, value in _numbers(told) if abs(value) > LARGEST_NUMBER]:
+        raise PolicyError(f"{folder / CONFIG} says {huge[0]} is more than {LARGEST_NUMBER}")
+    if (kind := told.get("type")) not in PreTrainedConfig.get_known_choices():
+        package = PLUGINS.get(str(kind), f"lerobot_policy_{kind}")
+        raise PolicyError(f"{folder / CONFIG} is of type {kind!r}, which is not installed: install {package}")
     try:
         config = PreTrainedConfig.from_pretrained(str(folder))
     except Exception as error:
@@ -265,28 +298,78 @@ def _config(folder: Path, settings: Sequence[str]) -> Any:
         raise PolicyError(f"cannot set {', '.join(settings)}: {error.__cause__ or error}") from error
 
 
-def _stored_shapes(file: Path) -> dict[str, tuple[int, ...]]:
-    """Return the shape of every tensor by name, from the file's header."""
-    from safetensors import safe_open
+def _numbers(content: Any, key: str = "") -> Iterator[tuple[str, float]]:
+    """Yield every number at any depth, with the key that it is below."""
+    if isinstance(content, dict | list):
+        for name, value in content.items() if isinstance(content, dict) else ((key, value) for value in content):
+            yield from _numbers(value, name)
+    elif isinstance(content, int | float):
+        yield key, content
 
+
+def _refuse_larger(config: Any, stored: Mapping[str, tuple[str, tuple[int, ...]]]) -> None:
+    """Refuse a config whose policy is larger than its file, by making it where it takes no memory."""
+    import torch
+    from lerobot.policies.factory import get_policy_class
+    from torch.nn.modules.module import register_module_parameter_registration_hook
+
+    held = sum(prod(shape) for _, shape in stored.values())
+    made = {"tensors": 0, "elements": 0}
+
+    def count(_: object, __: str, tensor: Any) -> None:
+        made["tensors"] += 1
+        made["elements"] += 0 if tensor is None else tensor.numel()
+        if made["tensors"] > 2 * len(stored) + TENSORS or made["elements"] > 2 * held + ELEMENTS:
+            raise PolicyError(f"{CONFIG} describes a larger policy than the {held} weights of {WEIGHTS}")
+
+    hook = register_module_parameter_registration_hook(count)
     try:
-        with safe_open(str(file), "numpy") as tensors:
-            return {name: tuple(tensors.get_slice(name).get_shape()) for name in tensors.keys()}  # noqa: SIM118
-    except Exception as error:  # the reader's own kinds of error differ from version to version
-        raise PolicyError(f"{file} holds no weights ({error})") from error
+        with suppress(NotImplementedError), torch.device("meta"):  # what needs values cannot be made without memory
+            get_policy_class(config.type)(config)
+    finally:
+        hook.remove()
 
 
-def _check_fit(state: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]], folder: Path) -> None:
-    """Refuse weights that are missing, surplus or misshapen; of tied weights a file holds one."""
+def _check_fit(state: Mapping[str, Any], types: Mapping[str, tuple[str, tuple[int, ...]]], folder: Path) -> None:
+    """Refuse weights that are missing, surplus or of another shape or kind; of tied weights a file holds one."""
     wanted = {name.removeprefix("model."): tensor for name, tensor in state.items()}  # as LeRobot's Pi policies do
-    stored = {name.removeprefix("model."): shape for name, shape in shapes.items()}
+    stored = {name.removeprefix("model."): kind for name, kind in types.items()}
     tied = {tensor.data_ptr() for name, tensor in wanted.items() if name in stored}
     missing = [name for name, tensor in wanted.items() if name not in stored and tensor.data_ptr() not in tied]
     surplus = [name for name in stored if name not in wanted]
-    misshapen = [name for name, shape in stored.items() if name in wanted and tuple(wanted[name].shape) != shape]
-    for what, names in (("lacks", missing), ("has surplus", surplus), ("has misshapen", misshapen)):
+    both = [(name, wanted[name], *stored[name]) for name in stored if name in wanted]
+    misshapen = [name for name, tensor, _, shape in both if tuple(tensor.shape) != shape]
+    mistyped = [name for name, tensor, kind, _ in both if not _fits_type(tensor, kind)]
+    wrong = {"lacks": missing, "has surplus": surplus, "has misshapen": misshapen, "has mistyped": mistyped}
+    for what, names in wrong.items():
         if names:
             raise PolicyError(f"{folder / WEIGHTS} {what} weights for its config: {len(names)}, such as {names[0]}")
+
+
+def _fits_type(tensor: Any, kind: str) -> bool:
+    return kind in FLOATS if tensor.is_floating_point() else kind == OTHERS.get(str(tensor.dtype).partition(".")[2])
+
+
+def _check_statistics(file: Path, pipeline: Any, config: Any) -> None:
+    """Refuse a pipeline that normalises a feature without its statistics, or not as the config of its policy says."""
+    normalised: dict[str, str] = {}
+    for step in pipeline.steps:
+        for key, feature in getattr(step, "features", {}).items() if hasattr(step, "norm_map") else ():
+            mode = getattr(step.norm_map.get(feature.type), "value", "IDENTITY")
+            chosen = getattr(step, "normalize_observation_keys", None)
+            if mode == "IDENTITY" or (chosen is not None and key not in (*chosen, "action")):
+                continue
+            normalised[key] = mode
+            for name in STATISTICS[mode]:
+                if (values := step.stats.get(key, {}).get(name)) is None:
+                    raise PolicyError(f"{file} normalises {key}, and its statistics lack the {name} of that")
+                if not np.isfinite(values).all():
+                    raise PolicyError(f"{file} normalises {key} by a {name} that is not finite")
+    needed = config.output_features if "post" in file.name else config.input_features
+    for key, feature in needed.items():
+        mode = getattr(config.normalization_mapping.get(feature.type.value), "value", "IDENTITY")
+        if mode != normalised.get(key, "IDENTITY"):
+            raise PolicyError(f"{file} normalises {key} by {normalised.get(key)}, and {CONFIG} says {mode}")
 
 
 def reason(error: BaseException) -> str:

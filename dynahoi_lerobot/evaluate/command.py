@@ -16,13 +16,14 @@ from dynahoi_lerobot.core.arguments import add_field_arguments, given_fields, nu
 from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, TRUTH
+from dynahoi_lerobot.core.reading import ReadError
 from dynahoi_lerobot.core.registry import known
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES, PROTOCOLS
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.core.working_folder import working_folder
 from dynahoi_lerobot.evaluate import replay_results
 from dynahoi_lerobot.evaluate.arguments import TRAINED_FOR, VLM, add_trust_argument, make_actor, playing_rules
-from dynahoi_lerobot.evaluate.results import WEIGHTS, Results, ResultsError, RunInfo, command_line, read_results
+from dynahoi_lerobot.evaluate.results import WEIGHTS, Results, RunInfo, command_line, read_results
 from dynahoi_lerobot.evaluate.table import kind_table, results_table
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.rollout.inference import INFERENCE_MODES, MAX_LATENCY_MS, SYNC, Inference, RealTimeAgent
@@ -124,7 +125,7 @@ def run(args: argparse.Namespace) -> int:
 
     Raises:
         PolicyError: if the policy cannot be loaded or, without ``--trust``, could run code.
-        ResultsError: if ``--out`` holds damaged results, or those of another evaluation.
+        ReadError: if ``--out`` holds damaged results, or those of another evaluation.
         ValueError: for any other bad argument.
     """
     if args.replay_seed is not None and not args.replay:
@@ -173,7 +174,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _finished(results: Results) -> Results:
     """Return results of which nothing was left to play, as they are if they are whole."""
-    with suppress(ResultsError):
+    with suppress(ReadError):
         return read_results(results.folder)
     results.write()  # the earlier run ended between the renaming of two files
     return results

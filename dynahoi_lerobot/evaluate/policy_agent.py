@@ -46,8 +46,7 @@ class PolicyAgent(ChunkAgent):
         """Load a policy and its processors; see ``checked_folder`` and ``load_policy`` for arguments and errors."""
         self.name = path
         folder = checkpoint.checked_folder(path, trust=trust)
-        _register_plugins()
-        self._policy, self._before, self._after = checkpoint.load_policy(folder, device, settings)
+        self._policy, self._before, self._after = checkpoint.load_policy(folder, device, settings, trust=trust)
         self.weights, self.trained_for = checkpoint.folder_weights(folder), checkpoint.trained_for(folder)
         self._chunk: Any = None
         self._frame = 0
@@ -146,14 +145,6 @@ class PolicyAgent(ChunkAgent):
         batch["timestamp"] = torch.full((len(observation.tasks),), self._frame * CONTROL_DT)  # a policy's history
         self._frame += 1
         return batch
-
-
-def _register_plugins() -> None:
-    try:
-        from lerobot.utils.import_utils import register_third_party_plugins
-    except ImportError as error:
-        raise PolicyError(f"playing a policy needs LeRobot ({error}); install dynahoi_lerobot[lerobot]") from error
-    register_third_party_plugins()
 
 
 # -- the frames that a policy remembers, when not every frame asks it for an action -----------------------------------

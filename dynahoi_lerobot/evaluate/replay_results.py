@@ -19,7 +19,7 @@ import numpy as np
 from tqdm import tqdm
 
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.files import sha256
+from dynahoi_lerobot.core.reading import sha256
 from dynahoi_lerobot.evaluate.results import ACTIONS_FILE, EPISODES_FILE, METRICS_FILE, Results, read_results
 from dynahoi_lerobot.evaluate.rows import Row, episode_row
 from dynahoi_lerobot.rollout.inference import SYNC
@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     """Print what was replayed, and what differs; return the exit code: 0 if every number is the same, else 1.
 
     Raises:
-        ResultsError: if the folder cannot be read.
+        ReadError: if the folder cannot be read.
         ValueError: if the results are of another salt.
     """
     results = read_results(args.replay)
@@ -83,7 +83,7 @@ def open_recipe(results: Results, salt: str = "") -> Recipe:
     """Return what was played, its salt in place of the salt's hash.
 
     Raises:
-        ResultsError: if the folder does not say what was played.
+        ReadError: if the folder does not say what was played.
         ValueError: if the results are of another salt.
     """
     recipe = results.recipe()
@@ -97,7 +97,7 @@ def changed_rules(results: Results) -> dict[str, tuple[Any, Any]]:
     """Return the fields of a result's recipe that are not the benchmark's, with their values and the benchmark's.
 
     Raises:
-        ResultsError: if the result does not say what was played.
+        ReadError: if the result does not say what was played.
         ValueError: if there is no such split, capture rule or control class.
     """
     info = results.info

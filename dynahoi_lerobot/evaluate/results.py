@@ -1,24 +1,25 @@
-"""The result folder of one evaluation: ``metrics.json``, ``episodes.parquet`` and ``actions.npz``.
-
-Whatever is damaged in it is one ``ResultsError``.
-"""
+"""The result folder of one evaluation: ``metrics.json``, ``episodes.parquet`` and ``actions.npz``."""
 
 import io
 import json
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, get_type_hints
 
 import draccus
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import HAND_DOF
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.files import printable, write_atomically
+from dynahoi_lerobot.core.escaping import printable
+from dynahoi_lerobot.core.files import write_atomically
+from dynahoi_lerobot.core.reading import ReadError, open_table, read_arrays, read_object, read_rows, reading, require
 from dynahoi_lerobot.evaluate.rows import COLUMNS, Row, episode_row
-from dynahoi_lerobot.evaluate.summary import Summary, summarise_by, summarise_rows, wilson
+from dynahoi_lerobot.evaluate.summary import Estimate, Summary, summarise_by, summarise_rows, wilson
+from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.rollout.inference import SYNC
 from dynahoi_lerobot.rollout.loop import ActionLog
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
@@ -29,12 +30,17 @@ METRICS_FILE = "metrics.json"
 EPISODES_FILE = "episodes.parquet"
 ACTIONS_FILE = "actions.npz"
 
-HEAD_TYPES = (
-    {"n": int, "n_success": int, "pc_success_ci95": list}
+HEAD_TYPES: dict[str, Any] = (
+    {"n": int, "n_success": int, "pc_success_ci95": list[float]}
+    | {"metrics": (figures := dict[str, dict[str, Any]]), "per_kind": dict[str, figures]}
     | dict.fromkeys(("split", "policy", "capture", "fingerprint", "benchmark", "command"), str)
-    | dict.fromkeys(("metrics", "per_kind", "extra"), dict)
+    | {"extra": dict[str, Any]}
 )
-"""Keys of ``metrics.json`` with the types of their values; ``extra`` may be missing."""
+EXTRA_TYPES = {
+    "inference": str | None, "settings": list[str] | None, "privileged": bool | None, "weights": dict[str, str] | None,
+    "recipe": dict[str, Any], "surroundings": dict[str, Any], "vlm": dict[str, Any],
+}  # fmt: skip
+"""Keys of ``metrics.json`` with the types of their values; what is below ``extra`` may be missing."""
 
 UNIFORM = ("capture", "benchmark", "protocol", "control_class")
 """Columns with one value in all rows; the first two have that of ``metrics.json``."""
@@ -42,10 +48,6 @@ UNIFORM = ("capture", "benchmark", "protocol", "control_class")
 REMEDY = "run `dynahoi evaluate` with this folder as --out"
 WEIGHTS = "weights"
 """Key of the sha256 of a policy's files of weights, by name."""
-
-
-class ResultsError(ValueError):
-    """A result folder is missing, incomplete or damaged; the message says which and how to get a good one."""
 
 
 def command_line(words: Sequence[str]) -> str:
@@ -110,7 +112,7 @@ class Results:
         episodes.
 
         Raises:
-            ResultsError: if what it saved is damaged.
+            ReadError: if what it saved is damaged.
         """
         if not all((folder / name).exists() for name in (EPISODES_FILE, ACTIONS_FILE)):
             return cls(folder, info)
@@ -153,7 +155,7 @@ class Results:
 
     def marked(self, name: str) -> str:
         """Return a name of the policy as tables and reports show it: marked if it is privileged."""
-        return printable(f"{name} (privileged)" if self.privileged else name)
+        return f"{name} (privileged)" if self.privileged else name
 
     @cached_property
     def summary(self) -> Summary:
@@ -170,15 +172,12 @@ class Results:
         """Return what was played.
 
         Raises:
-            ResultsError: if the folder does not say it, or what it says is damaged.
+            ReadError: if the folder does not say it, or what it says is damaged.
         """
         if "recipe" not in self.info.extra:
-            raise ResultsError(f"{self.folder} does not say what was played; evaluate again with this version")
-        try:
+            raise ReadError(f"{self.folder} does not say what was played; evaluate again with this version")
+        with reading(self.folder / METRICS_FILE):
             return draccus.decode(Recipe, self.info.extra["recipe"])
-        except Exception as error:  # whatever a damaged recipe makes the decoder raise
-            reason = " ".join(str(error).split())
-            raise ResultsError(f"the recipe in {self.folder} is damaged ({reason}); evaluate again") from error
 
     def log(self, index: int) -> ActionLog:
         """Return what row ``index`` was played with."""
@@ -228,25 +227,27 @@ def read_results(folder: Path) -> Results:
     """Read a result folder.
 
     Raises:
-        ResultsError: one sentence that says what is missing or damaged.
+        ReadError: one sentence that says what is missing or damaged.
     """
     folder = Path(folder)
-    head = _load(folder / METRICS_FILE, _read_head)
+    if missing := [name for name in (METRICS_FILE, EPISODES_FILE, ACTIONS_FILE) if not (folder / name).exists()]:
+        raise ReadError(f"{folder} holds no results: {missing[0]} is missing; {REMEDY}")
+    head = _read_head(folder / METRICS_FILE)
     rows, actions = _read_saved(folder)
     if not head["n"] == len(rows) == len(actions) > 0:
         counts = f"{METRICS_FILE} {head['n']}, {EPISODES_FILE} {len(rows)}, {ACTIONS_FILE} {len(actions)}"
-        raise ResultsError(f"the files in {folder} disagree on the episodes: {counts}; {REMEDY}")
+        raise ReadError(f"the files in {folder} disagree on the episodes: {counts}; {REMEDY}")
     for name in UNIFORM:
         found = sorted({head.get(name, rows[0][name]), *(row[name] for row in rows)})
         if len(found) > 1:
-            raise ResultsError(f"{folder} holds episodes of {name} {found[0]!r} and {found[1]!r}; {REMEDY}")
+            raise ReadError(f"{folder} holds episodes of {name} {found[0]!r} and {found[1]!r}; {REMEDY}")
     info = RunInfo(**{entry.name: head[entry.name] for entry in fields(RunInfo)})
     return Results(folder, info, tuple(rows), tuple(actions), head)
 
 
 def _number(value: Any) -> str:
     """Return a number of a recipe that anybody may have written."""
-    return f"{value:g}" if isinstance(value, int | float) else printable(str(value))
+    return f"{value:g}" if isinstance(value, int | float) else str(value)
 
 
 def _plain(summary: Summary) -> dict[str, dict[str, Any]]:
@@ -258,28 +259,19 @@ def _plain(summary: Summary) -> dict[str, dict[str, Any]]:
 
 def _read_saved(folder: Path) -> tuple[list[Row], list[np.ndarray]]:
     """Return the rows and actions of a folder, whose numbers differ if its last save ended between two files."""
-    rows = _load(folder / EPISODES_FILE, _read_rows)
-    return rows, _load(folder / ACTIONS_FILE, lambda path: _read_actions(path, rows))
-
-
-def _load[T](path: Path, reader: Callable[[Path], T]) -> T:
-    if not path.parent.is_dir():
-        raise ResultsError(f"there is no result folder {path.parent}; {REMEDY}")
-    if not path.is_file():
-        raise ResultsError(f"{path.parent} holds no results: {path.name} is missing; {REMEDY}")
-    try:
-        return reader(path)
-    except Exception as error:  # whatever a damaged file makes its reader raise, the remedy is the same
-        reason = printable(" ".join(f"{type(error).__name__}: {error}".split()))
-        raise ResultsError(f"{path} is damaged ({reason}); {REMEDY}") from error
+    rows = _read_rows(folder / EPISODES_FILE)
+    return rows, _read_actions(folder / ACTIONS_FILE, rows)
 
 
 def _read_head(path: Path) -> dict[str, Any]:
-    head = {"extra": {}} | json.loads(path.read_text(encoding="utf-8"))
-    for key, wanted in HEAD_TYPES.items():
-        if not isinstance(value := head[key], wanted):
-            raise TypeError(f"{key} must be of type {wanted.__name__}, got {type(value).__name__}")
-    return head
+    with reading(path):
+        head = {"extra": {}} | read_object(path)
+        require(head, HEAD_TYPES)
+        for figures in (head["metrics"], *head["per_kind"].values()):
+            for figure in figures.values():
+                require(figure, get_type_hints(Estimate))
+        require(head["extra"], {name: kind for name, kind in EXTRA_TYPES.items() if name in head["extra"]})
+        return head
 
 
 def _write_rows(path: Path, rows: Sequence[Row]) -> None:
@@ -295,13 +287,26 @@ def _write_rows(path: Path, rows: Sequence[Row]) -> None:
 
 def _read_rows(path: Path) -> list[Row]:
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
-    table = pq.ParquetFile(path).read()
-    if differing := set(table.schema) ^ set(pa.schema(COLUMNS)):
-        name = min(field.name for field in differing)
-        raise TypeError(f"its column {name} is missing, surplus or of another type")
-    return table.select(list(COLUMNS)).to_pylist()
+    with reading(path):
+        if differing := set(open_table(path).schema_arrow) ^ set(pa.schema(COLUMNS)):
+            name = min(field.name for field in differing)
+            raise TypeError(f"its column {name} is missing, surplus or of another type")
+        rows = [{name: row[name] for name in COLUMNS} for row in read_rows(path)]
+        for row in rows:
+            if wrong := [name for name, kind in COLUMNS.items() if not _possible(name, kind, row[name])]:
+                raise ValueError(f"it says {wrong[0]} of an episode is {row[wrong[0]]!r:.80}")
+        return rows
+
+
+def _possible(name: str, kind: str, value: Any) -> bool:
+    """Tell whether an episode could have a value in a column; a metric may lack one."""
+    if kind == "double":
+        if value is None:
+            return name in METRICS
+        rate = name in METRICS and METRICS[name].aggregation == "rate"
+        return value in (0.0, 1.0) if rate else math.isfinite(value)
+    return name == "first_localized" or (value is not None and (kind != "int64" or value >= 0))
 
 
 def _write_actions(path: Path, rows: Sequence[Row], actions: Sequence[np.ndarray]) -> None:
@@ -317,10 +322,13 @@ def _write_actions(path: Path, rows: Sequence[Row], actions: Sequence[np.ndarray
 
 def _read_actions(path: Path, rows: Sequence[Row]) -> list[np.ndarray]:
     """Return the (T, 18) actions of all episodes, of which the first are those of ``rows``."""
-    with np.load(path, allow_pickle=False) as archive:
-        actions, offsets, seeds = archive["action"], archive["offsets"], archive["seed"]
-    if actions.shape[1:] != (HAND_DOF,) or offsets[-1] != len(actions):
-        raise ValueError(f"its actions must not be of shape {actions.shape}")
-    if any(row["seed"] != seed for row, seed in zip(rows, seeds.tolist(), strict=False)):
-        raise ValueError(f"its seeds are not those of {EPISODES_FILE}")
-    return np.split(actions, offsets[1:-1])
+    with reading(path):
+        actions, offsets, seeds = read_arrays(path, ("action", "offsets", "seed")).values()
+        if actions.shape[1:] != (HAND_DOF,) or actions.dtype.kind != "f" or not np.isfinite(actions).all():
+            raise ValueError(f"its actions must be finite, of shape (N, {HAND_DOF}), got {actions.shape}")
+        steps = np.diff(offsets, prepend=0, append=len(actions))
+        if offsets.shape != (len(seeds) + 1,) or offsets.dtype.kind != "i" or steps[0] or steps[-1] or steps.min() < 0:
+            raise ValueError("its offsets do not divide its actions among its episodes")
+        if any(row["seed"] != seed for row, seed in zip(rows, seeds.tolist(), strict=False)):
+            raise ValueError(f"its seeds are not those of {EPISODES_FILE}")
+        return np.split(actions, offsets[1:-1])

@@ -4,7 +4,6 @@ Nothing here imports torch before a policy is loaded.
 """
 
 import hashlib
-import json
 from functools import cache
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import numpy as np
 import dynahoi_lerobot
 from dynahoi_lerobot.core.agent import Agent, Observation
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE
+from dynahoi_lerobot.core.reading import read_object, sha256
 from dynahoi_lerobot.evaluate.checkpoint import CONFIG, PolicyError, checked_folder
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.sampling.fingerprint import hash_packages
@@ -97,8 +97,8 @@ def actor_name(path: str) -> str:
     digest = hashlib.sha256()
     for file in sorted({file for part in PARTS for file in folder.glob(part)}):
         digest.update(file.name.encode())
-        digest.update(hashlib.sha256(file.read_bytes()).digest())
-    return f"{json.loads((folder / CONFIG).read_text())['type']}@{digest.hexdigest()[:16]}"
+        digest.update(bytes.fromhex(sha256(file)))
+    return f"{read_object(folder / CONFIG, {'type': str})['type']}@{digest.hexdigest()[:16]}"
 
 
 def runtime(policy: PolicyAgent) -> str:

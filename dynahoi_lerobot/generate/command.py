@@ -16,7 +16,7 @@ from tqdm import tqdm
 from dynahoi_lerobot.core.arguments import add_field_arguments, given_fields, number, path, whole
 from dynahoi_lerobot.core.files import check_output
 from dynahoi_lerobot.dataset.manifest import Manifest
-from dynahoi_lerobot.dataset.paths import FileLimits
+from dynahoi_lerobot.dataset.paths import FileLimits, check_root
 from dynahoi_lerobot.dataset.video import Encoding
 from dynahoi_lerobot.evaluate.arguments import add_trust_argument
 from dynahoi_lerobot.generate.actor import actor_name, make_actor, open_policy, runtime
@@ -85,6 +85,7 @@ def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Recip
         ValueError: for a bad argument.
     """
     check_output(args.root)
+    check_root(args.root)
     complete = args.root.exists()
     recipe, runs_on = recipe or load_recipe(args.recipe), ""
     if args.actor is not None:

@@ -20,6 +20,7 @@ from pathlib import Path
 
 from dynahoi_lerobot.core.arguments import CommandError
 from dynahoi_lerobot.core.files import check_output
+from dynahoi_lerobot.core.reading import ReadError
 from dynahoi_lerobot.core.working_folder import LOCK, TASK, differences, read_task, working_folder
 from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
 from dynahoi_lerobot.generate.plan import SHARD, GenerationPlan, Progress, Record, ShardMaker
@@ -77,7 +78,7 @@ def finished(plan: GenerationPlan, root: Path) -> Manifest | None:
         return None
     try:
         manifest = Manifest.read(root)
-    except (OSError, ValueError):
+    except ReadError:
         raise FileExistsError(f"{root} exists and is no dataset of ours; choose another folder") from None
     if names := differences(manifest.provenance, plan.identity()):
         raise FileExistsError(f"{root} holds another dataset (other {names}); choose another folder")

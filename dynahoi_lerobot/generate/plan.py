@@ -16,6 +16,7 @@ from dynahoi_lerobot.core.arguments import CommandError
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import episode_features
 from dynahoi_lerobot.core.files import new_folder
+from dynahoi_lerobot.core.reading import ReadError
 from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
 from dynahoi_lerobot.dataset.merge import merge
 from dynahoi_lerobot.dataset.paths import FileLimits
@@ -182,7 +183,7 @@ class ShardMaker:
         folder = self.path(shard)
         try:
             manifest = Manifest.read(folder)
-        except (OSError, ValueError):
+        except ReadError:
             return "its manifest cannot be read"
         if manifest.provenance != self.plan.identity():
             return "it belongs to another plan"

@@ -7,7 +7,7 @@ from typing import Any
 import draccus
 
 from dynahoi_lerobot.core.conventions import EGO_VIEW
-from dynahoi_lerobot.core.files import read_yaml
+from dynahoi_lerobot.core.reading import read_yaml
 from dynahoi_lerobot.renderers.views import CAMERAS
 from dynahoi_lerobot.sampling.recipe import Recipe
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from dynahoi_lerobot.core.files import write_atomically
+from dynahoi_lerobot.core.reading import WEIGHTS_BYTES, read_text, reading, regular
 from dynahoi_lerobot.core.working_folder import working_folder
 
 LOG, STATE = "log.jsonl", "state.pt"
@@ -36,7 +37,7 @@ class RunFolder:
         """Write what to go on from, whole or not at all, in place of what was saved before."""
         import torch
 
-        whole = state | {"log": (self.path / LOG).read_text()}
+        whole = state | {"log": read_text(self.path / LOG)}
         write_atomically({self.path / STATE: lambda path: torch.save(whole, path)})
 
     def restore(self) -> dict[str, Any] | None:
@@ -46,6 +47,8 @@ class RunFolder:
         if not (self.path / STATE).exists():
             (self.path / LOG).unlink(missing_ok=True)
             return None
-        state = torch.load(self.path / STATE, weights_only=True, map_location="cpu")
-        (self.path / LOG).write_text(state["log"])
+        with reading(self.path / STATE):
+            state = torch.load(regular(self.path / STATE, WEIGHTS_BYTES), weights_only=True, map_location="cpu")
+            log = str(state["log"])
+        (self.path / LOG).write_text(log)
         return state

@@ -60,10 +60,12 @@ class Snapshots:
         images: (N, H, W, 6) uint8 RGB of a camera, and RGB one frame before.
         place: (N, 3) float32 target centre relative to the palm centre, or, if the camera stands still, to where that
             is at home [m], world axes.
+        from_palm: (N, 3) target centre relative to the palm centre [m], world axes.
     """
 
     images: np.ndarray
     place: np.ndarray
+    from_palm: np.ndarray
 
 
 class ImageStream:
@@ -124,8 +126,9 @@ def snapshots(
             for hand, target in ((poses[:, at, :HAND_DOF], poses[:, at, HAND_DOF:]) for at in (NOW, BEFORE)):
                 batch.place(hand, np.concatenate([target, turns], axis=1))
                 images.append(batch.cameras.render(view=camera))
-            place = poses[:, NOW, HAND_DOF:] - (poses[:, NOW, :PALM_DOF] if camera == EGO_VIEW else 0.0)
-            yield Snapshots(np.concatenate(images, axis=-1), place.astype(np.float32))
+            palm, target = poses[:, NOW, :PALM_DOF], poses[:, NOW, HAND_DOF:]
+            place = target - palm if camera == EGO_VIEW else target
+            yield Snapshots(np.concatenate(images, axis=-1), place.astype(np.float32), target - palm)
 
 
 NOW, BEFORE = 0, 1

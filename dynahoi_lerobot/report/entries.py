@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from dynahoi_lerobot.core.files import printable
+from dynahoi_lerobot.core.escaping import printable
 from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.evaluate.rows import IDENTITY, Row
 from dynahoi_lerobot.sampling.benchmark import ALLOW_MISMATCH
@@ -33,7 +33,7 @@ def read_entries(folders: Sequence[Path], *, allow_version_mismatch: bool = Fals
     """Read result folders, each once, best S_loc first.
 
     Raises:
-        ResultsError: if a folder is missing or damaged.
+        ReadError: if a folder is missing or damaged.
         ValueError: if they are of different salts, or, unless ``allow_version_mismatch``, of different versions of the
             benchmark.
     """

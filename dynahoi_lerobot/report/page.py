@@ -3,12 +3,15 @@
 import argparse
 import base64
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 from dynahoi_lerobot.core.arguments import path
-from dynahoi_lerobot.core.files import printable, write_atomically
+from dynahoi_lerobot.core.escaping import printable
+from dynahoi_lerobot.core.files import write_atomically
+from dynahoi_lerobot.core.reading import ReadError, inside, read_bytes
 from dynahoi_lerobot.evaluate import table
 from dynahoi_lerobot.evaluate.compare import COMMANDS, CROSSABLE, compare, unequal_conditions
 from dynahoi_lerobot.evaluate.table import Cell, Table
@@ -87,7 +90,7 @@ def render_report(
         The path of the page.
 
     Raises:
-        ResultsError: if a folder is missing or damaged.
+        ReadError: if a folder is missing or damaged.
         ValueError: if no folder is given, or for different versions of the benchmark, unless that is allowed.
     """
     if not folders:
@@ -169,17 +172,10 @@ def _compared(row: Entry, column: Entry, name: str, across: Collection[str]) -> 
 
 def clips_of(folder: Path) -> tuple[list[tuple[str, str]], int]:
     """Return the names of a folder's first GIFs with their ``data:`` addresses, and the number of those left out."""
-    paths = [path for path in sorted(folder.glob("*.gif")) if _is_gif(path)]
-    shown = [
-        (printable(path.stem), "data:image/gif;base64," + base64.b64encode(path.read_bytes()).decode())
-        for path in paths[:MOST_CLIPS]
-    ]
-    return shown, len(paths) - len(shown)
-
-
-def _is_gif(path: Path) -> bool:
-    """Return whether this is a regular GIF of reasonable size; a link could embed any file."""
-    if path.is_symlink() or not path.is_file() or path.stat().st_size > LARGEST_CLIP_BYTES:
-        return False
-    with path.open("rb") as file:
-        return file.read(len(GIF_HEADERS[0])) in GIF_HEADERS
+    clips = []
+    for file in sorted(folder.glob("*.gif")):
+        with suppress(ReadError):  # a link could embed any file
+            content = read_bytes(inside(folder, file.name), LARGEST_CLIP_BYTES)
+            if content.startswith(GIF_HEADERS):
+                clips.append((printable(file.stem), "data:image/gif;base64," + base64.b64encode(content).decode()))
+    return clips[:MOST_CLIPS], len(clips[MOST_CLIPS:])

@@ -132,7 +132,7 @@ class WorldRecorder:
             "intercept_time": spec.intercept_frame * CONTROL_DT,
         }
         return Episode(
-            meta=_meta(self.job, rule.name, batch.control.name, actor),
+            meta=episode_meta(self.job, rule.name, batch.control.name, actor),
             images={view: np.stack(frames) for view, frames in self.images.items()},
             success=rule.success(track),
             stage=rule.stage(track),
@@ -173,7 +173,8 @@ def _typed(value: Any, feature: Feature) -> Any:
     return array if array.ndim else array.item()
 
 
-def _meta(job: Job, capture: str, control_class: str, agent: str) -> EpisodeMeta:
+def episode_meta(job: Job, capture: str, control_class: str, agent: str) -> EpisodeMeta:
+    """Return what the episode of a job is, played by an agent under a capture rule and a control class."""
     spec = job.spec
     return EpisodeMeta(
         seed=spec.seed,

@@ -76,7 +76,7 @@ class RollAhead:
         }
 
     def _simulate(self, wanted: dict[int, int]) -> None:
-        """Roll rows of the batch until so many frames of each are known: in each call as far as all of them still go."""
+        """Roll rows of the batch until so many frames of each are known, in each call as far as all of them go."""
         while missing := {row: more for row, n in wanted.items() if (more := n - len(self._paths_w[row])) > 0}:
             rows, frames = np.array(sorted(missing)), min(missing.values())
             control = np.zeros((len(rows), frames * SUBSTEPS, self._scene.model.nv))

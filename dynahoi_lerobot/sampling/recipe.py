@@ -15,7 +15,7 @@ from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.core.control_mode import CONTROL_MODES, JOINTS
 from dynahoi_lerobot.core.conventions import DEFAULT_IMAGE_SIZE_PX, DETECTOR_IMAGE_SIZE_PX
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATES, EYE, Feature, frame_features
-from dynahoi_lerobot.core.files import read_yaml
+from dynahoi_lerobot.core.reading import read_yaml
 from dynahoi_lerobot.core.registry import known
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS, DEFAULT_PROTOCOL, PROTOCOLS
 from dynahoi_lerobot.experts import EXPERTS

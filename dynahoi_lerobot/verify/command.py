@@ -4,7 +4,9 @@ import argparse
 import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass
+from itertools import chain
 from pathlib import Path
 
 import draccus
@@ -12,13 +14,17 @@ import numpy as np
 from tqdm import tqdm
 
 from dynahoi_lerobot.core.arguments import path, whole
-from dynahoi_lerobot.core.files import printable
+from dynahoi_lerobot.core.escaping import printable
+from dynahoi_lerobot.core.reading import ReadError, reading
 from dynahoi_lerobot.dataset.manifest import Manifest
+from dynahoi_lerobot.dataset.paths import MANIFEST_PATH
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.verify.files import format_problems, manifest_problems, rewritten, tables_readable
+from dynahoi_lerobot.verify.files import edited, file_problems, format_problems, unreadable, video_problems
+from dynahoi_lerobot.verify.meta import meta_problems
 from dynahoi_lerobot.verify.replay import replay_problems
-from dynahoi_lerobot.verify.verdicts import derived_problems, verdict_problems
+from dynahoi_lerobot.verify.seeds import seed_problems
+from dynahoi_lerobot.verify.verdicts import verdict_problems
 
 PASSED, FAILED = 0, 1
 SHOWN, LONGEST = 5, 600
@@ -30,7 +36,7 @@ class Finding:
     """Something wrong with a dataset.
 
     Attributes:
-        check: the claim that it refutes: ``files``, ``format``, ``verdicts`` or ``replay``.
+        check: the claim that it refutes: ``files``, ``format``, ``seeds``, ``verdicts`` or ``replay``.
         message: what is wrong, where, and what was expected.
     """
 
@@ -47,8 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("root", type=path, help="dataset folder")
     parser.add_argument(
         "--replay",
-        type=whole(0, 10**9),
-        default=0,
+        type=whole(1, 10**9),
         help="number of random episodes to regenerate from their seeds and compare, including images",
     )
     parser.add_argument("--json", type=path, help="also write the findings to this file")
@@ -77,11 +82,11 @@ def run(args: argparse.Namespace) -> int:
 def verify(
     root: Path,
     *,
-    replayed: int = 0,
+    replayed: int | None = None,
     progress: Callable[[], object] = lambda: None,
     note: Callable[[str], object] = lambda _: None,
 ) -> list[Finding]:
-    """Check the three claims about a dataset.
+    """Check the claims about a dataset.
 
     Args:
         root: the dataset's folder.
@@ -95,15 +100,23 @@ def verify(
 
     Raises:
         FileNotFoundError: if ``root`` holds no dataset.
+        ValueError: if no episode is to be replayed; None replays nothing.
     """
+    if replayed is not None and replayed < 1:
+        raise ValueError(f"the number of episodes to replay is {replayed}; it must be 1 or more")
     store = Store(root)
-    if unreadable := _guarded("files", tables_readable(store)):
-        return [*unreadable, *_guarded("files", manifest_problems(store))]
-    findings = _guarded("format", format_problems(store))
-    if (sentence := rewritten(store)) is not None:
-        return [Finding("files", sentence), *findings]
-    findings = _guarded("files", manifest_problems(store)) + findings
-    recipe = _recipe(store)
+    try:
+        manifest = Manifest.read(root) if (root / MANIFEST_PATH).exists() else None
+    except ValueError as error:
+        return [Finding("files", str(error)), *_guarded("files", unreadable(store))]
+    findings = _guarded("files", file_problems(store, manifest))
+    if broken := _guarded("files", unreadable(store)):
+        return broken + findings
+    if (sentence := edited(store, manifest)) is not None or manifest is None:
+        return [*findings, Finding("files", str(sentence)), *_guarded("format", format_problems(store))]
+    findings += _guarded("format", chain(meta_problems(store, manifest), video_problems(store)))
+    recipe = _recipe(manifest)
+    findings += _guarded("seeds", seed_problems(store, manifest, recipe, note))
     findings += _guarded("verdicts", _verdicts(store, recipe, progress))
     if replayed:
         drawn = drawn_evenly(store, replayed, np.random.default_rng())
@@ -118,20 +131,19 @@ def _verdicts(store: Store, recipe: Recipe | None, progress: Callable[[], object
         where = f"episode {row['episode_index']}: "
         try:
             episode = store.as_episode(row, table, images=False)
-            problems = [*verdict_problems(episode, hand), *derived_problems(episode, row, table)]
+            problems = list(verdict_problems(episode, hand))
         except (LookupError, ValueError, TypeError) as error:
             problems = [f"it cannot be judged: {type(error).__name__}: {error}"]
         yield from (where + problem for problem in problems)
         progress()
 
 
-def _recipe(store: Store) -> Recipe | None:
+def _recipe(manifest: Manifest) -> Recipe | None:
     """Return the recipe that the manifest names; None if it names none, or none that this project can read."""
-    try:
-        stored = Manifest.read(store.root).provenance.get("recipe")
+    with suppress(ReadError), reading(Path(MANIFEST_PATH)):
+        stored = manifest.provenance.get("recipe")
         return None if stored is None else draccus.decode(Recipe, stored)
-    except (draccus.utils.DraccusException, OSError, ValueError, TypeError, AttributeError):
-        return None
+    return None
 
 
 def drawn_evenly(store: Store, count: int, rng: np.random.Generator) -> list[int]:

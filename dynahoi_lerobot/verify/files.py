@@ -1,70 +1,85 @@
-"""First claim: the files are the ones that were made, and LeRobot can read them."""
+"""First claim: the files are the ones that were made, or another tool has edited them and LeRobot reads them.
+
+Of an edited dataset only LeRobot's format is checked: what we add to it is gone or stale.
+"""
 
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 from av.error import FFmpegError
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
-from dynahoi_lerobot.dataset.columns import BOOKKEEPING, arrow_schema, bookkeeping_arrays, column_array
+from dynahoi_lerobot.core.reading import ReadError, open_table
+from dynahoi_lerobot.dataset.columns import BOOKKEEPING, bookkeeping_arrays, column_array
 from dynahoi_lerobot.dataset.episode_table import FACTS, EpisodeRow
-from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
-from dynahoi_lerobot.dataset.paths import CODEBASE_VERSION, MANIFEST_PATH, TASKS_PATH
+from dynahoi_lerobot.dataset.manifest import Manifest, changed_files, structure_problems
+from dynahoi_lerobot.dataset.paths import CODEBASE_VERSION, DATA_PATH, MANIFEST_PATH, TASKS_PATH, VIDEO_PATH, check_root
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.video import stored_packets
 
+TOOL = "another tool, such as lerobot-edit-dataset, has edited this dataset"
+SHOWN = 4
+"""Files that a sentence names."""
 EXACT_S = 1e-6
 """Times that differ by less are the same [s]: tools that append episodes add up times."""
 
 
-def manifest_problems(store: Store) -> Iterator[str]:
-    """Yield files that are not those of the manifest, and what its counts and seeds say otherwise than the tables."""
-    manifest = Manifest.read(store.root)
-    yield from file_problems(store.root, manifest)
-    facts = {
-        "episodes": (manifest.episodes, store.episodes),
-        "frames": (manifest.frames, sum(row["length"] for row in store.rows)),
-        "seeds": (manifest.seeds, [row["seed"] for row in store.rows]),
-        "benchmark": (manifest.benchmark, ", ".join(sorted({row["benchmark"] for row in store.rows}))),
-    }
-    for name, (said, found) in facts.items():
-        if said != found:
-            yield f"{MANIFEST_PATH} has other {name} than the episode table: {_short(said)}, not {_short(found)}"
+def unreadable(store: Store) -> Iterator[str]:
+    """Yield a sentence for each table that cannot be read; without them nothing else can be checked."""
+    for path in (store.root / TASKS_PATH, *store.row_files(), *store.data_files()):
+        try:
+            store.table(path)
+        except ReadError as error:
+            yield str(error)
 
 
-def rewritten(store: Store) -> str | None:
-    """Return a sentence if another tool has rewritten the dataset and dropped what only we write, else None."""
-    if (store.root / MANIFEST_PATH).exists():
+def file_problems(store: Store, manifest: Manifest | None) -> Iterator[str]:
+    """Yield why LeRobot cannot open the folder, and files that are missing or not in the manifest, if there is one."""
+    try:
+        check_root(store.root)
+    except ValueError as error:
+        yield str(error)
+    if manifest is not None:
+        yield from structure_problems(store.root, manifest)
+
+
+def edited(store: Store, manifest: Manifest | None) -> str | None:
+    """Return a sentence if another tool has rewritten files, and removed the manifest if there is none, else None."""
+    if manifest is None:
+        held = {name for path in store.row_files() for name in open_table(path, ()).schema_arrow.names}
+        lost = [name for name in FACTS if name not in held]
+        columns = f", and so are our columns of the episode table ({', '.join(lost[:3])}, ...)" if lost else ""
+        told = f"{MANIFEST_PATH} is gone{columns}"
+    elif changed := changed_files(store.root, manifest):
+        more = f" and {len(changed) - SHOWN} more" if len(changed) > SHOWN else ""
+        has = "has" if len(changed) == 1 else "have"
+        told = f"{', '.join(changed[:SHOWN])}{more} {has} changed since {MANIFEST_PATH} was written"
+    else:
         return None
-    held = {name for path in store.row_files() for name in pq.read_schema(path).names}
-    lost = [name for name in FACTS if name not in held]
-    columns = f", and so are our columns of the episode table ({', '.join(lost[:3])}, ...)" if lost else ""
     return (
-        f"{MANIFEST_PATH} is gone{columns}: another tool, such as lerobot-edit-dataset, has written this dataset, so "
-        "only LeRobot's format can be checked; `dynahoi filter` copies episodes with everything"
+        f"edited: {told}: {TOOL}, so only LeRobot's format can be checked; `dynahoi filter` copies episodes with "
+        "everything"
     )
 
 
 def format_problems(store: Store) -> Iterator[str]:
     """Yield what LeRobot's reader would stumble over, or read otherwise than it was written."""
     yield from _info(store)
-    yield from _schema(store)
     yield from _places(store)
     yield from _bookkeeping(store)
-    for key in store.image_keys if store.has_video else []:
-        yield from _videos(store, key)
+    yield from video_problems(store)
 
 
 def _info(store: Store) -> Iterator[str]:
-    frames = sum(pq.read_metadata(path).num_rows for path in store.data_files())
+    frames = sum(open_table(path, ()).metadata.num_rows for path in store.data_files())
     if frames != (told := sum(row["length"] for row in store.rows)):
         yield f"the data files hold {frames} frames; their episodes have {told}"
     wanted = {
         "codebase_version": CODEBASE_VERSION,
         "fps": CONTROL_HZ,
+        "data_path": DATA_PATH,
+        **({"video_path": VIDEO_PATH} if store.has_video else {}),
         "total_episodes": store.episodes,
         "total_frames": frames,
         "total_tasks": len(store.tasks),
@@ -73,25 +88,6 @@ def _info(store: Store) -> Iterator[str]:
     for key, value in wanted.items():
         if (found := store.info.get(key)) != value:
             yield f"info.json says {key} is {found!r}; the tables give {value!r}"
-
-
-def _schema(store: Store) -> Iterator[str]:
-    """Yield columns that a data file lacks, or has in another type than its feature."""
-    wanted = arrow_schema(store.features)
-    for path in store.data_files():
-        name, found = path.relative_to(store.root), pq.read_schema(path)
-        if found.names != wanted.names:
-            yield f"{name} has the columns {_short(found.names)}; info.json has {_short(wanted.names)}"
-            continue
-        for field in wanted:
-            if not _alike(kind := found.field(field.name).type, field.type):
-                yield f"{name} holds {field.name} as {kind}; by info.json it is {field.type}"
-
-
-def _alike(one: pa.DataType, other: pa.DataType) -> bool:
-    """Tell whether two types of a column agree: tools write lists with or without a fixed size."""
-    lists = all(pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind) for kind in (one, other))
-    return one == other or (lists and one.value_type == other.value_type)
 
 
 def _places(store: Store) -> Iterator[str]:
@@ -118,10 +114,7 @@ def _bookkeeping(store: Store) -> Iterator[str]:
         if (count := len(columns["index"][part])) != row["length"]:
             yield f"{name} has {count} frames, not {row['length']}"
             continue
-        text = row["tasks"][0] if len(row["tasks"]) == 1 else None
-        task = store.tasks.index(text) if text in store.tasks else -1
-        if row.get("task", text) != text or text is None:
-            yield f"{name} has the instructions {row['tasks']}; it was told {row.get('task')!r}"
+        task = store.tasks.index(row["tasks"][0]) if len(row["tasks"]) == 1 and row["tasks"][0] in store.tasks else -1
         wanted = bookkeeping_arrays(row["length"], row["episode_index"], row["dataset_from_index"], task)
         for key, values in wanted.items():
             found = columns[key][part]
@@ -130,12 +123,13 @@ def _bookkeeping(store: Store) -> Iterator[str]:
                 yield f"{name}, frame {frame}: {key} is {found[frame]}, not {values[frame]}"
 
 
-def _videos(store: Store, key: str) -> Iterator[str]:
-    """Yield files of a view that do not hold exactly their episodes' frames, each from a key frame on."""
-    files: dict[Path, list[EpisodeRow]] = {}
+def video_problems(store: Store) -> Iterator[str]:
+    """Yield videos that do not hold exactly their episodes' frames, each from a key frame on."""
+    files: dict[tuple[str, Path], list[EpisodeRow]] = {}
     for row in store.rows:
-        files.setdefault(store.video_path(row, key), []).append(row)
-    for path, rows in files.items():
+        for key in store.image_keys if store.has_video else []:
+            files.setdefault((key, store.video_path(row, key)), []).append(row)
+    for (key, path), rows in files.items():
         name, start = path.relative_to(store.root), 0
         try:
             keyed = [packet.is_keyframe for packet in stored_packets(path)]
@@ -152,17 +146,3 @@ def _videos(store: Store, key: str) -> Iterator[str]:
             start += row["length"]
         if len(keyed) != start:
             yield f"{name} holds {len(keyed)} frames; its episodes have {start}"
-
-
-def tables_readable(store: Store) -> Iterator[str]:
-    """Yield a sentence for each table that cannot be read; without them nothing else can be checked."""
-    for path in (store.root / TASKS_PATH, *store.row_files(), *store.data_files()):
-        try:
-            store.table(path)
-        except (ValueError, pa.ArrowException) as error:
-            yield str(error)
-
-
-def _short(value: object) -> str:
-    text = str(value)
-    return text if len(text) <= 80 else f"{text[:77]}..."

@@ -1,4 +1,4 @@
-"""Second claim: verdicts and metrics follow from the columns.
+"""Fourth claim: verdicts and metrics follow from the columns.
 
 States give fingertips; poses and solids give distances; distances give localisation and contacts; these and the capture
 rule give the verdict. Metrics are computed from these columns whenever they are asked for, so nothing else is stored.
@@ -8,16 +8,12 @@ from collections.abc import Iterator
 
 import mujoco
 import numpy as np
-import pyarrow as pa
 
 from dynahoi_lerobot.captures import CAPTURES, CaptureRule, Track
 from dynahoi_lerobot.core.conventions import CONTROL_DT, FINGERS
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.features import FEATURES
 from dynahoi_lerobot.core.numerics import matrix_to_rotvec, quat_to_matrix, segment_distance
 from dynahoi_lerobot.core.rules import is_acting
-from dynahoi_lerobot.dataset.columns import LANGUAGE, column_array, holds, subtask_rows
-from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.quality_control import not_finite
 from dynahoi_lerobot.objects.primitives import from_table
 from dynahoi_lerobot.rollout.recorder import next_frames
@@ -67,21 +63,6 @@ def verdict_problems(episode: Episode, hand: str | None) -> Iterator[str]:
         found = getattr(episode, name)
         if found != wanted and (found, wanted) != PALM_ONLY:
             yield f"{name} is {found!r}; rule {rule.name!r} says {wanted!r}"
-
-
-def derived_problems(episode: Episode, row: EpisodeRow, table: pa.Table) -> Iterator[str]:
-    """Yield stored columns of an episode that a reader derives from others, and that say something else."""
-    for feature in FEATURES.values():
-        if feature.derived and holds(table, feature):
-            wanted = np.reshape(getattr(episode, feature.name), (len(episode), -1))
-            if not np.array_equal(column_array(table, feature.key), wanted):
-                yield f"{feature.key} does not follow from the other columns"
-    if LANGUAGE in table.column_names:
-        wanted = [subtask_rows(is_acting(episode.phase), episode.localized)] * len(episode)
-        if table[LANGUAGE].to_pylist() != wanted:
-            yield f"{LANGUAGE} is not what phase and localisation say"
-    if row["stats/attempt_success"] != episode.attempt_success.tolist():
-        yield f"attempt_success is {row['stats/attempt_success']}; success and attempts say otherwise"
 
 
 def _fingertips(episode: Episode, hand: str) -> str | None:

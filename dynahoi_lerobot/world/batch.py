@@ -279,7 +279,7 @@ class WorldBatch:
 
     @property
     def renders_later(self) -> bool:
-        """Whether images can be rendered once an episode has ended: none depends on earlier ones, nor a column on any."""
+        """Whether images can be rendered once an episode has ended: no image depends on others, no column on any."""
         return self.recipe.image_size > 0 and self._detector is None and MOTION_VIEW not in self.recipe.views
 
     @property

@@ -92,7 +92,7 @@ def overwrite(pattern: str, content: bytes = b"{\xff") -> Callable[[Path], objec
 
 DAMAGES: list[tuple[Callable[[Path], object], str]] = [
     (overwrite("meta/info.json", b'{"features": '), "meta/info.json cannot be read"),
-    (overwrite("meta/info.json", b"{}"), "meta/info.json cannot be read (KeyError: 'features')"),
+    (overwrite("meta/info.json", b"{}"), "meta/info.json cannot be read: it has no 'features'"),
     (overwrite("meta/manifest.json"), "meta/manifest.json cannot be read"),
     (overwrite("meta/episodes/*/*"), "file-000.parquet cannot be read"),
     (lambda root: shutil.rmtree(root / "meta/episodes"), "there is no file in meta/episodes"),

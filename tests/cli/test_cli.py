@@ -3,6 +3,7 @@
 import base64
 import io
 import json
+from importlib.metadata import version
 from pathlib import Path
 
 import av
@@ -31,6 +32,12 @@ def test_list_prints_every_entry_with_a_description(what: str, capsys: pytest.Ca
     table = capsys.readouterr().out.splitlines()
     assert len(table) == len(rows) + 2
     assert len({len(line) for line in table}) == 1, "columns are aligned"
+
+
+def test_the_version_is_that_of_the_distribution(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="0"):
+        cli.main(["--version"])
+    assert capsys.readouterr().out == f"dynahoi {version('dynahoi_lerobot')}\n"
 
 
 @pytest.mark.slow

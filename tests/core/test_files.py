@@ -95,3 +95,15 @@ def test_files_that_belong_together_appear_together(tmp_path: Path):
         write_atomically({file: lambda path, text=text, name=file.name: path.write_text(text + name) for file in files})
     assert [file.read_text() for file in files] == ["twoa", "twob"]
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a", "b"]
+
+
+def test_what_a_killed_process_left_of_a_folder_is_removed_and_a_living_ones_is_not(tmp_path: Path):
+    code = "import os, sys; from pathlib import Path; from dynahoi_lerobot.core.files import new_folder\n"
+    code += "with new_folder(Path(sys.argv[1])) as f: f.mkdir(); print(end='', flush=True); os.kill(os.getpid(), 9)"
+    subprocess.run([sys.executable, "-c", code, str(tmp_path / "out")], check=False)
+    assert len(list(tmp_path.iterdir())) == 1
+    with new_folder(tmp_path / "out") as first, new_folder(tmp_path / "out") as second:
+        assert sorted(tmp_path.iterdir()) == sorted([first.parent, second.parent])
+        for folder in (first, second):
+            folder.mkdir()
+    assert list(tmp_path.iterdir()) == [tmp_path / "out"]

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 import yaml
 
+from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.conventions import HAND_NAMES
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import CAMERA_KEY, FEATURES, episode_features
-from dynahoi_lerobot.dataset import episode_column, frame_column, read_episodes, write_episodes
+from dynahoi_lerobot.dataset import episode_column, frame_column, open_dataset, read_episodes, write_episodes
 from dynahoi_lerobot.dataset.card import histogram_svg
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.dataset.merge import copy_subset, merge
@@ -120,6 +121,21 @@ def test_what_is_no_dataset_is_refused_and_leaves_nothing(tmp_path, dataset):
     with pytest.raises(FileExistsError, match="choose a new folder"):
         write_episodes(dataset, [varied_episode(0)])
     assert hash_files(dataset) == before
+
+
+@pytest.mark.parametrize("name", ["a[b]", "a*", "a?", "a::b", "a[b]/d"])
+def test_a_path_that_lerobot_takes_for_a_pattern_is_refused_and_nothing_is_made(tmp_path, dataset, name):
+    root = tmp_path / name
+    for write_to in (
+        lambda: write_episodes(root, [varied_episode(0)]),
+        lambda: merge([dataset], root),
+        lambda: copy_subset(dataset, root, [0]),
+        lambda: open_dataset(root),
+    ):
+        with pytest.raises(ValueError, match="LeRobot cannot open"):
+            write_to()
+    assert main(["generate", "--root", str(root), "--episodes", "1"]) == 2
+    assert not root.exists()
 
 
 @pytest.mark.parametrize("codec", CODECS)

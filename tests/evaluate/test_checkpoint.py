@@ -1,7 +1,6 @@
 """A checkpoint that would run code is refused before it can: the marker that its code would leave never appears."""
 
 import fnmatch
-import inspect
 import shutil
 from pathlib import Path
 from typing import Any
@@ -9,14 +8,13 @@ from typing import Any
 import huggingface_hub
 import pytest
 import torch
-from lerobot.policies.factory import get_policy_class
 from lerobot.processor import IdentityProcessorStep, ProcessorStepRegistry
 from lerobot.utils.import_utils import register_third_party_plugins
 from safetensors.torch import load_file, save_file
 
 from dynahoi_lerobot.cli import main as cli
 from dynahoi_lerobot.dataset.manifest import Manifest
-from dynahoi_lerobot.evaluate.checkpoint import STEPS, WEIGHTS, PolicyError, checked_folder, trained_for
+from dynahoi_lerobot.evaluate.checkpoint import WEIGHTS, PolicyError, checked_folder, trained_for
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import read_results
 from tests.checkpoints import SHIPPED
@@ -104,11 +102,27 @@ def test_steps_keys_and_states_that_are_not_listed_are_refused(step: dict[str, A
         checked_folder(str(checkpoint))
 
 
-def test_listed_steps_exist_and_take_the_keys_of_their_own_configs() -> None:
-    for policy in ("pi0", "pi05", "smolvla", "xvla"):
-        get_policy_class(policy)
-    for name, keys in STEPS.items():
-        assert keys <= inspect.signature(ProcessorStepRegistry.get(name)).parameters.keys(), name
+def test_code_of_a_repository_that_a_step_names_does_not_run_and_nobody_is_asked(checkpoint, marker, monkeypatch):
+    monkeypatch.setattr("builtins.input", lambda _: pytest.fail("transformers asks"))
+    (other := checkpoint.parent / "other").mkdir()
+    (other / "config.json").write_text('{"model_type": "bert"}')
+    (other / "tokenizer_config.json").write_text('{"auto_map": {"AutoTokenizer": ["evil.Evil", null]}}')
+    (other / "evil.py").write_text(f"import os\nos.mkdir({str(marker)!r})\nclass Evil: ...\n")
+    for name, config in (
+        ("tokenizer_processor", {"tokenizer_name": str(other)}),
+        ("action_tokenizer_processor", {"action_tokenizer_name": str(other)}),
+    ):
+        edit_json(checkpoint / PREPROCESSOR, lambda content: content["steps"].clear())
+        add_step(checkpoint, {"registry_name": name, "config": config})
+        with pytest.raises(PolicyError, match=r"cannot be loaded|--trust"):
+            PolicyAgent(str(checkpoint))
+    assert not marker.exists()
+
+
+def test_a_policy_that_is_not_installed_is_named_with_its_package(checkpoint: Path) -> None:
+    edit_json(checkpoint / "config.json", lambda config: config.update(type="elsewhere"))
+    with pytest.raises(PolicyError, match=r"'elsewhere'.*install lerobot_policy_elsewhere"):
+        PolicyAgent(str(checkpoint), trust=True)
 
 
 @pytest.mark.parametrize(

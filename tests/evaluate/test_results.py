@@ -11,7 +11,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from dynahoi_lerobot.evaluate.results import Results, ResultsError, RunInfo, command_line, read_results
+from dynahoi_lerobot.core.reading import ReadError
+from dynahoi_lerobot.evaluate.results import Results, RunInfo, command_line, read_results
 from dynahoi_lerobot.evaluate.summary import wilson
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
@@ -109,7 +110,7 @@ def test_an_interrupted_run_resumes_whichever_files_it_had_renamed(tmp_path: Pat
 def test_files_of_two_runs_are_told_apart(folder: Path):
     save(folder.parent / "short", 2)
     shutil.copy(folder.parent / "short" / "actions.npz", folder / "actions.npz")
-    with pytest.raises(ResultsError, match=r"metrics.json 6, episodes.parquet 6, actions.npz 2"):
+    with pytest.raises(ReadError, match=r"metrics.json 6, episodes.parquet 6, actions.npz 2"):
         read_results(folder)
 
 
@@ -160,25 +161,25 @@ def set_action(name: str, edit: Callable[[np.ndarray], np.ndarray]) -> Callable[
 
 
 DAMAGE: list[tuple[Callable[[Path], None], str]] = [
-    (lambda folder: (folder / "metrics.json").write_text("[]"), "metrics.json is damaged"),
+    (lambda folder: (folder / "metrics.json").write_text("[]"), "metrics.json cannot be read"),
     (set_head(n=0), "disagree"),
-    (set_head(n="4"), "n must be of type int, got str"),
-    (set_head(policy=None), "policy must be of type str, got NoneType"),
+    (set_head(n="4"), "n must be of type int, got '4'"),
+    (set_head(policy=None), "policy must be of type str, got None"),
     (set_head(benchmark="v0"), f"episodes of benchmark 'v0' and '{BENCHMARK.version}'"),
     (set_column("surplus", [0] * 6), "its column surplus"),
     (set_column("S_loc", ["a"] * 6), "its column S_loc"),
     (set_column("control_class", ["late"] * 5 + ["standard"]), "control_class 'late' and 'standard'"),
     (set_action("seed", lambda old: old + 1), "its seeds are not those of"),
-    (set_action("action", lambda old: old[:, :17]), "its actions must not be of shape"),
-    (set_action("action", lambda old: old.astype(object)), "actions.npz is damaged"),
-    (set_action("offsets", lambda old: old[::-1]), "its actions must not be of shape"),
+    (set_action("action", lambda old: old[:, :17]), "its actions must be finite, of shape"),
+    (set_action("action", lambda old: old.astype(object)), "actions.npz cannot be read"),
+    (set_action("offsets", lambda old: old[::-1]), "its offsets"),
 ]
 
 
 @pytest.mark.parametrize(("damage", "sentence"), DAMAGE, ids=[sentence for _, sentence in DAMAGE])
 def test_damage_is_one_sentence(damage: Callable[[Path], None], sentence: str, folder: Path) -> None:
     damage(folder)
-    with pytest.raises(ResultsError) as refused:
+    with pytest.raises(ReadError) as refused:
         read_results(folder)
     assert sentence in str(refused.value)
     assert str(refused.value).isprintable()
@@ -188,8 +189,8 @@ def test_damage_is_one_sentence(damage: Callable[[Path], None], sentence: str, f
 def test_a_missing_or_cut_file_is_named(folder: Path, name: str) -> None:
     whole = (folder / name).read_bytes()
     (folder / name).write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(ResultsError, match=rf"{name} is damaged"):
+    with pytest.raises(ReadError, match=rf"{name} cannot be read"):
         read_results(folder)
     (folder / name).unlink()
-    with pytest.raises(ResultsError, match=rf"{name} is missing"):
+    with pytest.raises(ReadError, match=rf"{name} is missing"):
         read_results(folder)

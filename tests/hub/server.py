@@ -4,6 +4,7 @@ import base64
 import hashlib
 import json
 import re
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -260,3 +261,9 @@ ROUTES = [
     ("ANY", rf"/(?P<kind>datasets)/(?P<name>[^/]+/[^/]+)/resolve{REVISION}/(?P<path>.+)", resolve),
     ("ANY", rf"/(?P<name>[^/]+/[^/]+)/resolve{REVISION}/(?P<path>.+)", resolve),
 ]
+
+
+if __name__ == "__main__":  # for commands in other processes: prints the address and the token
+    with serving() as shared:
+        print(shared.url, TOKEN, flush=True)
+        threading.Event().wait()

@@ -12,6 +12,7 @@ import yaml
 from huggingface_hub import constants
 
 from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.evaluate.checkpoint import load_policy
 from dynahoi_lerobot.evaluate.results import METRICS_FILE, RunInfo
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -38,6 +39,7 @@ def push(hub: Hub, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pyte
     monkeypatch.setattr(constants, "HF_TOKEN_PATH", str(tmp_path / "no_token"))
     monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)  # the server has only the large file storage
     monkeypatch.setenv("HF_TOKEN", TOKEN)
+    monkeypatch.setattr("dynahoi_lerobot.hub.load_policy", lambda *_, **__: None)  # most checkpoints here are stubs
 
     def run(*words: object) -> tuple[int, str, str]:
         code = main(["push", *map(str, words)])
@@ -234,9 +236,28 @@ def test_other_weights_replace_the_old_ones_and_their_results_only_if_that_is_as
     assert not [name for name in files if "results" in name]
 
 
+def test_what_our_loader_refuses_is_not_uploaded(checkpoint, actor, *, hub, push, monkeypatch, tmp_path):
+    monkeypatch.setattr("dynahoi_lerobot.hub.load_policy", load_policy)
+    refused(push(checkpoint, "me/policy"), "model.safetensors cannot be read", 2)
+    broken = shutil.copytree(actor, tmp_path / "broken")
+    (broken / "policy_preprocessor.json").write_text('{"steps": [{"class": "os.mkdir", "config": {"path": "x"}}]}')
+    refused(push(broken, "me/policy"), "'os.mkdir'", 2)
+    (linked := shutil.copytree(actor, tmp_path / "linked"), (linked / "notes").symlink_to("/etc/passwd"))
+    refused(push(linked, "me/policy"), "notes is a link", 2)
+    assert hub.repos == {}
+    assert push(actor, "me/policy")[0] == 0
+
+
+def test_results_that_their_commands_do_not_lead_to_are_not_uploaded(checkpoint, hub, push, monkeypatch, tmp_path):
+    push(checkpoint, "me/policy")
+    monkeypatch.setattr(Recipe, "fingerprint", lambda _: "f")
+    refused(push(write_split(tmp_path / "results", "ood_speed", range(2)), "me/policy"), "was not pushed")
+    assert names(hub) == set()
+
+
 def test_pickles_are_refused(checkpoint: Path, hub: Hub, push: Push):
     (checkpoint / "optimizer.pt").write_bytes(b"pickle")
-    refused(push(checkpoint, "me/policy"), "holds the pickle optimizer.pt", 2)
+    refused(push(checkpoint, "me/policy"), "optimizer.pt is a pickle", 2)
     assert hub.repos == {}
 
 
@@ -258,7 +279,7 @@ def test_results_need_their_checkpoint_and_must_be_whole(checkpoint: Path, tmp_p
     assert names(hub) == set()
 
 
-WHOLE = "v2_ood_speed_attach_standard"
+WHOLE = f"{BENCHMARK.version}_ood_speed_attach_standard"
 CONDITIONS: list[tuple[dict, str]] = [
     ({}, WHOLE),
     ({"protocol": "occluded"}, f"{WHOLE}_protocol_occluded"),
@@ -307,9 +328,10 @@ def test_the_card_lists_the_results_once(checkpoint: Path, tmp_path: Path, hub: 
     commits = list(hub.repos[MODEL].commits)
     assert push(results, "me/policy")[0] == 0
     assert list(hub.repos[MODEL].commits) == commits
-    _, head, _ = hub.repos[MODEL].files["README.md"].decode().split("---\n", 2)
+    _, head, body = hub.repos[MODEL].files["README.md"].decode().split("---\n", 2)
     (model,) = yaml.safe_load(head)["model-index"]
     (entry,) = model["results"]
+    assert body.startswith("\n> The results `") or body.startswith("> The results `")
     assert entry["dataset"]["split"] == "ood_speed"
     assert {metric["type"] for metric in entry["metrics"]} == {"S_loc", "S_joint"}
 
@@ -322,7 +344,7 @@ def test_a_checkpoint_is_evaluated_by_its_name_and_its_results_stand_beside_it(h
     assert push(results, "me/policy")[0] == 0
     files, head = hub.repos[MODEL].files, json.loads((results / METRICS_FILE).read_text())
     assert "model.safetensors" in files
-    name = "v2_test_small_attach_standard_image_size_96_2_episodes"
+    name = f"{BENCHMARK.version}_test_small_attach_standard_image_size_96_2_episodes"
     assert json.loads(files[f"results/{name}/{METRICS_FILE}"]) == head
     assert push(ROOT / "checkpoints/obact_standard", "me/policy")[0] == 0, "results beside it are no obstacle"
 

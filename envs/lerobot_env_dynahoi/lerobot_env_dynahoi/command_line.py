@@ -1,16 +1,15 @@
 """What LeRobot's command line says of the policy: LeRobot makes an env first and does not pass the policy to it."""
 
-import json
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import draccus
-import yaml
 from lerobot.configs import PreTrainedConfig, parser
 
-from dynahoi_lerobot.evaluate.checkpoint import PolicyError, described_folder, folder_weights, trained_for
+from dynahoi_lerobot.core.reading import ReadError, read_object, read_yaml
+from dynahoi_lerobot.evaluate.checkpoint import described_folder, folder_weights, trained_for
 from dynahoi_lerobot.rollout.inference import QueuedPolicy
 
 
@@ -22,8 +21,8 @@ def policy_name(argv: Sequence[str]) -> str:
     """Return what is being played: the policy's type, its path, or just ``policy``."""
     path = _policy_path(argv)
     config = Path(path or "") / "config.json"
-    if path and config.is_file():
-        return str(json.loads(config.read_text()).get("type", path))
+    if path and config.exists():
+        return str(read_object(config).get("type", path))
     return path or parser.get_type_arg("policy", argv) or "policy"
 
 
@@ -41,7 +40,7 @@ def policy_rules(argv: Sequence[str]) -> dict[str, Any]:
     path = _policy_path(argv)
     try:
         return trained_for(described_folder(path)) if path else {}
-    except PolicyError:
+    except ReadError:
         return {}  # LeRobot says what is wrong with it
 
 
@@ -52,7 +51,7 @@ def new_results_folder(argv: Sequence[str]) -> Path:
     folder of its own.
     """
     config = Path(parser.parse_arg("config_path", argv) or "")
-    told = yaml.safe_load(config.read_text()) if config.is_file() else {}
+    told = read_yaml(config) if config.is_file() else {}
     folder = Path(parser.parse_arg("output_dir", argv) or told.get("output_dir") or "outputs")
     return folder / "dynahoi" / datetime.now().strftime("%Y-%m-%d_%H-%M-%S_%f")
 

@@ -1,0 +1,33 @@
+"""What text must not do where it goes to: one function a place. Pages and drawings are escaped by Jinja and `html`."""
+
+from typing import Any, TextIO
+
+
+def printable(text: str) -> str:
+    """Return ``text`` with whatever a terminal would obey, such as escapes and line ends, written out."""
+    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
+
+
+def markdown(text: str) -> str:
+    """Return ``text`` as one that ends no code, cell, line or address, and begins no HTML or link in Markdown."""
+    line = printable(" ".join(text.split()))
+    return line.replace("`", "'").replace("<", "&lt;").replace("|", "\\|").replace("[", "\\[")
+
+
+class Terminal:
+    """A stream that writes out what a terminal would obey, but for ends of lines, and the start with which bars begin.
+
+    Everything else is as the stream has it.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        """Write ``text``."""
+        start = text[: text.startswith("\r")]
+        lines = ("\t".join(map(printable, line.split("\t"))) for line in text[len(start) :].split("\n"))
+        return self._stream.write(start + "\n".join(lines))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)

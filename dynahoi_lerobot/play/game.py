@@ -1,0 +1,124 @@
+"""A person's evaluation: episode after episode at the page, each followed by its metrics and by how others did."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dynahoi_lerobot.core.conventions import CONTROL_HZ, EGO_VIEW
+from dynahoi_lerobot.evaluate.gif import encode_gif, phases_of
+from dynahoi_lerobot.metrics import METRICS, measure
+from dynahoi_lerobot.rollout.loop import evaluate
+from dynahoi_lerobot.world.batch import WorldBatch
+
+if TYPE_CHECKING:
+    from dynahoi_lerobot.core.agent import Actor
+    from dynahoi_lerobot.core.episode import Episode
+    from dynahoi_lerobot.play.live_world import LiveWorld
+    from dynahoi_lerobot.play.server import Player
+
+PRACTICE_STEP = 7919
+"""Practice takes every so many episodes of its stream, so that all kinds of motion take turns."""
+SHOWN = ("S_loc", "S_gra", "E_loc", "E_gra", "Q_smooth", "Q_line", "R_time")
+"""The paper's seven metrics."""
+CLIP_PX = 192
+PRACTICE, SCORED = "practice", "scored"
+
+
+@dataclass
+class Game:
+    """What is played at the page.
+
+    Attributes:
+        world: in which scored episodes are played.
+        practice: in which the others are.
+        numbers: of the scored episodes that are left.
+        total: how many scored episodes there are in all.
+        player: name in the recordings.
+        others: play every episode again, to be compared: the expert and, if given, a policy.
+        keep: takes each scored episode, and says where it went.
+    """
+
+    world: LiveWorld
+    practice: LiveWorld
+    numbers: list[int]
+    total: int
+    player: str
+    others: Sequence[Actor]
+    keep: Callable[[Episode], None]
+    practised: int = 0
+
+    async def __call__(self, player: Player) -> None:
+        """Play with ``player`` until they leave."""
+        while not player.gone:
+            await player.tell(ready={"left": len(self.numbers), "total": self.total, "practised": self.practised})
+            asked = await self._asked(player)
+            if asked is None:
+                return
+            practising = asked != SCORED or not self.numbers
+            world = self.practice if practising else self.world
+            episode = await self._play(player, world, practising)
+            if practising:
+                self.practised += 1
+            else:
+                self.numbers.pop(0)
+                self.keep(episode)
+            if not player.gone:
+                await player.tell(result=await asyncio.to_thread(self._result, world, episode, practising))
+
+    async def _asked(self, player: Player) -> str | None:
+        """Wait for a request; None if the player leaves."""
+        while not player.gone:
+            try:
+                return (await asyncio.wait_for(player.asked.get(), 0.2))["play"]
+            except TimeoutError:
+                continue
+        return None
+
+    async def _play(self, player: Player, world: LiveWorld, practising: bool) -> Episode:
+        """Play one episode; the world goes on if the page is closed in the middle of it."""
+        number = PRACTICE_STEP * (self.practised + 1) if practising else self.numbers[0]
+        world.begin(number, self.player)
+        world.start()
+        spec = world.spec
+        while (episode := world.finished) is None:
+            frame = int(world.batch.frame[0])
+            await player.show(
+                world.observe().images[EGO_VIEW][0],
+                task=spec.task,
+                window_s=max(0.0, (spec.window_frames - frame) / CONTROL_HZ),
+                left_s=(spec.window_frames + spec.length_frames + 1 - frame) / CONTROL_HZ,
+                caught=bool(world.batch.localized[0]),
+            )
+            await asyncio.sleep(max(0.0, world.next_tick_s - world.now_s))
+            world.command(player.steering.command(world))
+        return episode
+
+    def _result(self, world: LiveWorld, episode: Episode, practising: bool) -> dict:
+        """Return what the page shows after an episode: metrics and clips of the player and of the others."""
+        spec, rows = world.spec, [("you", episode)]
+        for actor in self.others:
+            recipe = replace(world.recipe, views=tuple(sorted({*world.recipe.views, *actor.views} - {EGO_VIEW})))
+            rows.append((actor.name, next(evaluate(WorldBatch(recipe, 1), actor, [spec], images=True))))
+        return {
+            "practice": practising,
+            "task": spec.task,
+            "units": {name: METRICS[name].unit for name in SHOWN},
+            "players": [
+                {"name": name, "stage": played.stage, "success": bool(played.success)}
+                | {"metrics": {name: measure(played)[name] for name in SHOWN}, "clip": _clip(played)}
+                for name, played in rows
+            ],
+        }
+
+
+def _clip(episode: Episode) -> str:
+    """Return the hand's images of an episode as the ``data:`` address of a GIF."""
+    frames: np.ndarray = episode.images[EGO_VIEW]
+    gif = encode_gif(frames, phases=phases_of(episode), min_width=CLIP_PX)
+    return "data:image/gif;base64," + base64.b64encode(gif).decode()

@@ -1,0 +1,160 @@
+"""One world that moves at 20 Hz by the wall clock, whether or not a command comes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dynahoi_lerobot.core.conventions import CONTROL_HZ, HAND_DOF
+from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.rollout.loop import Session
+from dynahoi_lerobot.rollout.recorder import Job
+from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.sampling.splits import kind_seed
+from dynahoi_lerobot.world.batch import WorldBatch
+
+if TYPE_CHECKING:
+    from dynahoi_lerobot.core.agent import Observation
+    from dynahoi_lerobot.core.episode import Episode
+    from dynahoi_lerobot.core.spec import EpisodeSpec
+    from dynahoi_lerobot.sampling.recipe import Recipe
+
+
+class LiveWorld:
+    """One hand and one moving object on a clock.
+
+    The world is brought up to date whenever somebody looks at it or commands it, so that it needs no thread, and what
+    happens in it depends on the times of the commands alone. Frame k becomes frame k + 1 at k + 1/2 frames after
+    ``start``: commands that arrive once a frame then fall into the frame they are meant for, even if they are up to
+    25 ms early or late. In a frame without a new command the hand follows the last one.
+
+    Attributes:
+        recipe, kind: what is played.
+        missed: frames of the control phase of this episode in which no new command came.
+        finished: the recording of this episode, once it is over; else None.
+    """
+
+    def __init__(
+        self,
+        recipe: Recipe,
+        kind: str | None = None,
+        *,
+        realtime: bool = True,
+        record_images: bool = False,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        """Allocate the world; no episode begins yet.
+
+        Args:
+            recipe: rules of the episodes.
+            kind: the kind of motion that is played; None for all of the recipe.
+            realtime: whether the clock moves the world; else each command moves it by one frame.
+            record_images: whether the recording of an episode holds its images.
+            clock: returns the time [s].
+        """
+        self.recipe, self.kind, self.missed = recipe, kind, 0
+        self.finished: Episode | None = None
+        self._realtime, self._clock = realtime, clock
+        self._session = Session(WorldBatch(recipe, 1), record_images=record_images)
+        self._expert = EXPERTS[recipe.expert]()
+        self._started_s: float | None = None
+        self._command = np.zeros(HAND_DOF)
+        self._fresh = False
+        self._spec: EpisodeSpec | None = None
+
+    def begin(self, number: int, player: str) -> None:
+        """Lay out episode ``number`` of the split and the kind: its frame 0 can be seen, its clock stands still.
+
+        Raises:
+            ValueError: for a negative number or one beyond 2^40 - 1.
+        """
+        [self._spec] = sample_specs(self.recipe, [kind_seed(self.recipe, self.kind, number)])
+        self._session.begin([0], [Job.evaluation(number, self._spec)])
+        self._session.observe(images=self._session.record_images)
+        self._command, self._fresh = self._session.batch.executed[0].copy(), False
+        self._started_s, self.missed, self.finished, self._player = None, 0, None, player
+
+    @property
+    def spec(self) -> EpisodeSpec:
+        """The episode.
+
+        Raises:
+            RuntimeError: before the first ``begin``.
+        """
+        if self._spec is None:
+            raise RuntimeError("no episode has begun")
+        return self._spec
+
+    @property
+    def batch(self) -> WorldBatch:
+        """The batch of this one world."""
+        return self._session.batch
+
+    @property
+    def now_s(self) -> float:
+        """The time [s]."""
+        return self._clock()
+
+    @property
+    def next_tick_s(self) -> float:
+        """When the clock will move the world next [s]; now, if it does not run."""
+        if self._started_s is None:
+            return self._clock()
+        return self._started_s + (self.batch.frame[0] + 0.5) / CONTROL_HZ
+
+    def start(self) -> None:
+        """Start the clock of this episode, once."""
+        if self._started_s is None:
+            self._started_s = self._clock()
+
+    def observe(self, *, images: bool = True) -> Observation:
+        """Return what is seen now, of one world: images (1, H, W, 3), state (1, 18) and so on."""
+        self.catch_up()
+        if images and not self._seen.images:
+            return self._session.observe(ending=np.zeros(1, int))
+        return self._seen
+
+    def command(self, command: np.ndarray) -> None:
+        """Give the hand its next command, (18,): palm centre [m], home frame, and joint angles [rad].
+
+        Raises:
+            ValueError: for a wrong shape or a value that is not finite.
+        """
+        given = self._session.batch.as_commands(np.asarray(command, np.float64)[None], self._seen)[0]
+        self.start()
+        self.catch_up()
+        self._command, self._fresh = given, True
+        if not self._realtime and self.finished is None:
+            self._tick()
+
+    def expert_goal(self) -> np.ndarray:
+        """Return (18,) what the recipe's privileged expert would command now."""
+        self.catch_up()
+        return self._expert.act(self._session.batch.world_state(self._seen))[0]
+
+    @property
+    def _seen(self) -> Observation:
+        observation = self._session.observation
+        if observation is None:
+            raise RuntimeError("no episode has begun")
+        return observation
+
+    def catch_up(self) -> None:
+        """Move the world to the present; the methods below do so themselves."""
+        if not self._realtime or self._started_s is None:
+            return
+        due = int((self._clock() - self._started_s) * CONTROL_HZ + 0.5)
+        while self.finished is None and self._session.batch.frame[0] < due:
+            self._tick()
+
+    def _tick(self) -> None:
+        batch = self._session.batch
+        self.missed += bool(batch.accepting[0]) and not self._fresh
+        self._fresh = False
+        terminated, truncated = self._session.step(self._command[None])
+        self._session.observe(images=self._session.record_images)
+        if terminated[0] or truncated[0]:
+            self.finished = self._session.finish(0, self._player)

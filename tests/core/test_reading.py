@@ -1,0 +1,224 @@
+"""Hostile files of every kind in every place are refused in one sentence, soon, and before they take memory."""
+
+import json
+import os
+import shutil
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+
+from dynahoi_lerobot.core.reading import (
+    ReadError,
+    inside,
+    read_arrays,
+    read_json,
+    read_rows,
+    read_table,
+    read_yaml,
+    tensor_types,
+)  # fmt: skip
+from dynahoi_lerobot.dataset.manifest import Manifest
+from dynahoi_lerobot.dataset.store import Store, open_dataset
+from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
+from dynahoi_lerobot.evaluate.results import RunInfo, read_results
+from dynahoi_lerobot.sampling.recipe import Recipe
+from tests.synthetic import synthetic_episode, write_results
+from tests.tools import edit_json
+
+
+@pytest.fixture(autouse=True)
+def impatience() -> Iterator[None]:
+    """Nothing may wait for a writer of a pipe, or read a device to its end."""
+
+    def give_up(*_: object) -> None:
+        pytest.fail("it hangs")
+
+    before = signal.signal(signal.SIGALRM, give_up)
+    signal.alarm(60)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("results") / "results"
+    info = RunInfo("me", "test", "attach", "dynahoi evaluate", "f", {"recipe": Recipe().stored(), "inference": "sync"})
+    write_results(folder, [synthetic_episode(seed, image_size=None) for seed in range(2)], info)
+    return folder
+
+
+def play_nothing(folder: Path) -> None:
+    PolicyAgent(str(folder), "cpu")
+
+
+OPENERS: dict[str, tuple[Callable[[Path], object], list[str]]] = {
+    "results": (read_results, ["metrics.json", "episodes.parquet", "actions.npz"]),
+    "dataset": (
+        open_dataset,
+        ["meta/info.json", "meta/tasks.parquet", "meta/stats.json", "meta/episodes/chunk-000/file-000.parquet"]
+        + ["data/chunk-000/file-000.parquet"],
+    ),
+    "actor": (
+        play_nothing,
+        ["config.json", "model.safetensors", "policy_preprocessor.json", "policy_postprocessor.json"],
+    ),
+}
+"""For each fixture that makes an artefact: what opens it, and its files."""
+PLACES = [(artefact, opener, name) for artefact, (opener, names) in OPENERS.items() for name in names]
+
+
+def replace_by(make: Callable[[Path], object]) -> Callable[[Path], None]:
+    def replace(path: Path) -> None:
+        path.unlink()
+        make(path)
+
+    return replace
+
+
+HOSTILE: dict[str, Callable[[Path], object]] = {
+    "pipe": replace_by(os.mkfifo),
+    "device": replace_by(lambda path: path.symlink_to("/dev/zero")),
+    "folder": replace_by(Path.mkdir),
+    "loop": replace_by(lambda path: path.symlink_to(path)),
+    "cut": lambda path: os.truncate(path, path.stat().st_size // 2),
+    "vast": lambda path: os.truncate(path, 2**40),
+    "deep": lambda path: path.write_text("[" * 100_000 + "]" * 100_000),
+}
+
+
+@pytest.mark.parametrize("kind", HOSTILE)
+def test_no_place_takes_a_hostile_file(kind: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+    for number, (artefact, opener, name) in enumerate(PLACES):
+        whole = shutil.copytree(request.getfixturevalue(artefact), tmp_path / str(number))
+        HOSTILE[kind](whole / name)
+        with pytest.raises((ReadError, FileNotFoundError)) as refused:
+            opener(whole)
+        assert "\n" not in str(refused.value), name
+        shutil.rmtree(whole)
+
+
+VALUES: list[Any] = [None, True, -1, 10**30, float("nan"), "", "x", [], [None], {}, {"x": {}}, "\ud800"]
+
+
+def changes(content: dict[str, Any], depth: int) -> Iterator[dict[str, Any]]:
+    """Yield a JSON object with one value in it replaced by another type, at some depth, or removed."""
+    for key, held in content.items():
+        yield {name: value for name, value in content.items() if name != key}
+        yield from (content | {key: value} for value in VALUES)
+        if depth > 1 and isinstance(held, dict) and key not in ("metrics", "per_kind"):
+            yield from (content | {key: value} for value in changes(held, depth - 1))
+
+
+@pytest.mark.parametrize(
+    ("artefact", "name", "opener"),
+    [
+        ("results", "metrics.json", lambda root: read_results(root).rules),
+        ("dataset", "meta/info.json", lambda root: (Store(root).image_keys, Store(root).rows)),
+        ("dataset", "meta/manifest.json", Manifest.read),
+    ],
+)
+def test_a_wrong_value_anywhere_is_read_or_refused_but_no_fault(artefact, name, opener, request, tmp_path):
+    root = shutil.copytree(request.getfixturevalue(artefact), tmp_path / "copy")
+    content = json.loads((root / name).read_text())
+    for changed in changes(content, 2):
+        (root / name).write_text(json.dumps(changed))
+        with suppress(ReadError):
+            opener(root)
+
+
+def test_json_is_bounded(tmp_path: Path) -> None:
+    for text in ("NaN", "1e999", "9" * 30, "9" * 5000, "[" * 70 + "]" * 70, '"\\ud800"', "{", "\xff"):
+        (path := tmp_path / "x.json").write_text(text, "latin-1")
+        with pytest.raises(ReadError, match=r"x\.json cannot be read"):
+            read_json(path)
+    (path := tmp_path / "x.yaml").write_text(
+        "a: &a [x, x]\n"
+        + "".join(
+            f"{n}: &{n} [*{p}, *{p}]\n"
+            for p, n in zip("abcdefghijklmnopqrstuvwxy", "bcdefghijklmnopqrstuvwxyz", strict=True)
+        )
+    )
+    with pytest.raises(ReadError, match="more than"):
+        read_yaml(path)
+
+
+N = 10**8
+BOMBS: dict[str, Callable[[], dict[str, pa.Array]]] = {
+    "numbers": lambda: {"x": pa.array(np.zeros(N, np.int8)).cast(pa.int64())},
+    "one list": lambda: {"x": pa.ListArray.from_arrays(pa.array([0, N], pa.int32()), pa.array(np.zeros(N, bool)))},
+    "null lists": lambda: {"x": pa.nulls(2000, pa.list_(pa.float32(), 10**5))},
+    "one text": lambda: {
+        "x": pa.DictionaryArray.from_arrays(pa.array([0] * 5000, pa.int32()), pa.array(["x" * 2**20]))
+    },
+}
+
+
+@pytest.mark.parametrize("kind", BOMBS)
+def test_a_table_that_grows_is_refused_before_it_does(kind: str, tmp_path: Path) -> None:
+    pq.write_table(pa.table(BOMBS[kind]()), path := tmp_path / "x.parquet", compression="zstd")
+    assert path.stat().st_size < 2**20
+    for read in (read_table, lambda path: list(read_rows(path))):
+        with pytest.raises(ReadError, match="expands to"):
+            read(path)
+
+
+def test_honest_tables_and_arrays_are_read(tmp_path: Path) -> None:
+    rows = [{"a.b": [1.0, 2.0], "text": ["x", None], "image": {"bytes": b"y" * 100}} for _ in range(1000)]
+    pq.write_table(pa.Table.from_pylist(rows), path := tmp_path / "x.parquet")
+    assert list(read_rows(path)) == read_table(path).to_pylist() == rows
+    assert list(read_rows(path, ["text"])) == [{"text": ["x", None]}] * 1000
+    np.savez(path := tmp_path / "x.npz", a=np.arange(6.0).reshape(2, 3).T, b=np.array(3))
+    assert read_arrays(path, ["a", "b"])["a"].tolist() == [[0, 3], [1, 4], [2, 5]]
+
+
+def test_arrays_that_grow_or_run_code_are_refused(tmp_path: Path) -> None:
+    np.savez_compressed(path := tmp_path / "x.npz", zeros=np.zeros(N), code=np.array([object()], object))
+    for name, sentence in (("zeros", "expands to"), ("code", "array"), ("none", "none")):
+        with pytest.raises(ReadError, match=sentence):
+            read_arrays(path, [name])
+
+
+def test_names_in_files_stay_in_their_folder_or_the_hubs_cache(tmp_path: Path) -> None:
+    repo = tmp_path / "models--you--x"
+    folder = repo / "snapshots" / "c0ffee"
+    for place in (folder, repo / "blobs"):
+        place.mkdir(parents=True)
+    (repo / "blobs" / "b10b").touch()
+    (folder / "weights").symlink_to("../../blobs/b10b")
+    (folder / "stolen").symlink_to("/etc/passwd")
+    (tmp_path / "link").symlink_to(folder)
+    for root in (folder, tmp_path / "link"):
+        assert inside(root, "weights").samefile(repo / "blobs" / "b10b")
+        for name in ("stolen", "../x", "/etc/passwd", "../../blobs/b10b", "", ".", "a\0", None, 3):
+            with pytest.raises(ReadError, match="not inside"):
+                inside(root, name)
+
+
+def test_other_weights_statistics_and_sizes_are_refused(actor: Path, tmp_path: Path) -> None:
+    weights = load_file(actor / "model.safetensors")
+    name = next(name for name, tensor in weights.items() if tensor.dim() == 2)
+    for kind in (torch.int8, torch.complex64):
+        folder = shutil.copytree(actor, tmp_path / str(kind))
+        save_file(weights | {name: weights[name].to(kind)}, folder / "model.safetensors")
+        assert tensor_types(folder / "model.safetensors")[name][1] == tuple(weights[name].shape)
+        with pytest.raises(ReadError, match="mistyped"):
+            play_nothing(folder)
+    for number, change in enumerate(({"dim": 65536, "n_heads": 2}, {"width": 65536}, {"n_layers": 10**9})):
+        folder = shutil.copytree(actor, tmp_path / str(number))
+        edit_json(folder / "config.json", lambda config, change=change: config.update(change))
+        with pytest.raises(ReadError, match=r"larger policy|more than|n_layers"):
+            play_nothing(folder)
+    folder = shutil.copytree(actor, tmp_path / "statistics")
+    edit_json(folder / "config.json", lambda config: config["normalization_mapping"].update(STATE="MEAN_STD"))
+    with pytest.raises(ReadError, match=r"observation\.state"):
+        play_nothing(folder)

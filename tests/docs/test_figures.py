@@ -1,0 +1,73 @@
+"""Measured figures in the pages are those of docs/figures, which say where they come from and are of today."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+import tables
+from jinja2 import UndefinedError
+from support.options import pinned_benchmark
+
+TODAY = {"command": "measure", "commit": "abc", "processor": "P", "benchmark": pinned_benchmark()}
+FOLDERS = sorted(tables.FIGURES.glob("*.json"))
+
+
+@pytest.mark.parametrize("path", tables.PAGES, ids=lambda path: path.relative_to(tables.ROOT).as_posix())
+def test_pages_show_the_figures_on_file(path: Path):
+    page = path.read_text()
+    assert page == tables.rendered(page), "run python benchmarks/tables.py"
+
+
+def test_the_readme_states_no_interval_of_its_own():
+    assert not re.findall(r"\[\d+\.\d, \d+\.\d\]", tables.BLOCK.sub("", tables.PAGES[0].read_text()))
+
+
+@pytest.mark.parametrize("path", FOLDERS, ids=lambda path: path.stem)
+def test_figures_say_what_was_run_and_are_of_today(path: Path):
+    content = json.loads(path.read_text())
+    assert not list(tables.unexplained(content, path.name))
+    old = [part["command"] for part in tables.outdated(content)]
+    assert not old, "measure again, or say what they are of: python benchmarks/tables.py --stale SENTENCE"
+
+
+def test_every_block_is_shown():
+    shown = {name for path in tables.PAGES for _, name, _ in tables.BLOCK.findall(path.read_text())}
+    assert shown == set(re.findall(r"block (\w+)", (tables.FIGURES / "tables.jinja").read_text()))
+
+
+def write(folder: Path, figures: dict) -> None:
+    (folder / "tables.jinja").write_text(
+        "{% block one %}\n| {{ f.rows.a | show }} | {{ f.rows.b | brief(0) }} |\n{% endblock %}"
+    )
+    (folder / "f.json").write_text(json.dumps(figures))
+
+
+def test_a_stale_figure_bears_a_mark_and_its_footnote(tmp_path: Path):
+    old = {"stale": "Of v1.", "value": 0.25, "unit": "fraction"}
+    write(tmp_path, {"rows": {"a": {"value": 1.25, "low": 1, "high": 2}, "b": old}})
+    page = "A\n<!-- figures: one -->\n| 7 |\n<!-- end of figures -->\nB"
+    found = tables.rendered(page, tmp_path)
+    assert "| 1.2 [1.0, 2.0] | 25† |\n\n† Of v1.\n" in found
+    assert tables.rendered(found, tmp_path) == found
+
+    write(tmp_path, {"rows": {"a": {"value": 1}}})
+    with pytest.raises(UndefinedError, match="'b'"):
+        tables.rendered(page, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({}, 0),
+        ({"benchmark": {"version": "v0", "digest": "0"}}, 1),
+        ({"benchmark": {"version": "v0", "digest": "0"}, "stale": "Of v0."}, 0),
+        ({"checkpoint": "obact_standard", "weights": {"model.safetensors": "0"}}, 1),
+    ],
+)
+def test_figures_of_another_benchmark_or_other_weights_are_found(change: dict, expected: int):
+    assert len(list(tables.outdated({"rows": {"a": TODAY | change | {"x": {"value": 1}}}}))) == expected
+
+
+def test_figures_without_provenance_are_found():
+    assert list(tables.unexplained({"rows": {"a": {"value": 1}, "b": TODAY | {"value": 1}}}, "f")) == ["f/rows/a/value"]

@@ -1,0 +1,154 @@
+"""The simulated hand behind LeRobot's robot interface: its clock, its episodes, and LeRobot's own programs on it."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from lerobot.robots import make_robot_from_config
+from lerobot.teleoperators import make_teleoperator_from_config
+from lerobot.utils.errors import DeviceNotConnectedError
+from lerobot_robot_dynahoi import DynahoiExpertConfig, DynahoiRobot, DynahoiRobotConfig
+
+from dynahoi_lerobot.evaluate.results import read_results
+
+FRAME_S = 0.05
+
+
+@dataclass
+class Clock:
+    """A clock that moves when told."""
+
+    now_s: float = 100.0
+    read: list[float] = field(default_factory=list)
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+@pytest.fixture(autouse=True)
+def _disconnected():
+    yield
+    for robot in list(DynahoiRobot.connected):
+        robot.disconnect()
+
+
+def robot_on(clock: Clock, **options) -> DynahoiRobot:
+    robot = DynahoiRobot(DynahoiRobotConfig(**{"task": "constant", "image_size": 32} | options), clock)
+    robot.connect()
+    return robot
+
+
+def catch(robot: DynahoiRobot, clock: Clock, jitter_s: float = 0.0) -> int:
+    """Let the expert move the robot until its episode is over, at times off by up to ``jitter_s``; return actions."""
+    expert = make_teleoperator_from_config(DynahoiExpertConfig())
+    expert.connect()
+    rng, begun_s = np.random.default_rng(0), clock.now_s
+    for k in range(400):
+        clock.now_s = begun_s + k * FRAME_S + (rng.uniform(-jitter_s, jitter_s) if k else 0.0)
+        robot.get_observation()
+        if robot.world.finished:
+            return k
+        robot.send_action(expert.get_action())
+    raise AssertionError("the episode does not end")
+
+
+def test_the_expert_catches_by_the_clock_and_without_it():
+    clock = Clock()
+    timed = robot_on(clock)
+    actions = catch(timed, clock, jitter_s=0.02)
+    assert timed.world.finished.success
+    assert timed.world.missed == 0, "actions that are less than half a frame off are not late"
+    stepped = robot_on(Clock(), realtime=False)
+    assert catch(stepped, Clock()) == actions
+    np.testing.assert_array_equal(stepped.world.finished.state, timed.world.finished.state)
+
+
+def test_the_world_moves_whether_or_not_an_action_comes():
+    clock = Clock()
+    robot = robot_on(clock)
+    before = robot.get_observation()
+    clock.now_s += 5.0
+    assert np.array_equal(before["ego"], robot.get_observation()["ego"]), "it waits for the first action"
+    hold = {name: before[name] for name in robot.action_features}
+    robot.send_action(hold)
+    clock.now_s += 10 * FRAME_S
+    robot.send_action(hold)
+    assert not np.array_equal(before["ego"], robot.get_observation()["ego"])
+    clock.now_s += 1000 * FRAME_S
+    robot.send_action(hold)
+    episode = robot.world.finished
+    assert episode is not None
+    assert not episode.success
+    assert robot.world.missed == int(episode.phase[:, 1].sum()) - (episode.phase[:10, 1].sum() > 0)
+
+
+def test_a_late_action_takes_effect_late():
+    clock = Clock()
+    robot = robot_on(clock)
+    hold = {name: robot.get_observation()[name] for name in robot.action_features}
+    robot.send_action(hold)
+    window = robot.world.spec.window_frames
+    clock.now_s += (window + 10) * FRAME_S
+    robot.send_action(hold | {"palm_z.pos": 0.2})
+    still = robot.get_observation()["palm_z.pos"]
+    clock.now_s += 4 * FRAME_S
+    moved = robot.get_observation()["palm_z.pos"]
+    assert abs(still) < 1e-3
+    assert moved > 0.05, "four frames at 0.5 m/s"
+
+
+def test_the_next_episode_begins_when_lerobot_comes_back_from_a_pause():
+    clock = Clock()
+    robot = robot_on(clock)
+    first = robot.world.spec.seed
+    catch(robot, clock)
+    clock.now_s += FRAME_S
+    robot.send_action(dict.fromkeys(robot.action_features, 0.0))
+    robot.get_observation()
+    assert robot.world.spec.seed == first, "what LeRobot does in its reset phase does not begin an episode"
+    clock.now_s += 1.0
+    robot.get_observation()
+    assert robot.world.spec.seed != first
+    assert robot.world.finished is None
+
+
+def test_the_next_episode_begins_after_restart_s_and_results_are_written(tmp_path):
+    clock = Clock()
+    robot = robot_on(clock, restart_s=1.0, results_dir=tmp_path / "results")
+    first = robot.world.spec.seed
+    catch(robot, clock)
+    for _ in range(25):
+        clock.now_s += FRAME_S
+        robot.get_observation()
+        robot.send_action(dict.fromkeys(robot.action_features, 0.0))
+    assert robot.world.spec.seed != first
+    assert read_results(tmp_path / "results").seeds == {first}
+
+
+def test_lerobot_makes_it_from_its_config():
+    robot = make_robot_from_config(DynahoiRobotConfig(image_size=32, views=["side"]))
+    assert robot.observation_features["side"] == (32, 32, 3)
+    assert set(robot.action_features) < set(robot.observation_features)
+    with pytest.raises(DeviceNotConnectedError):
+        robot.get_observation()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"split": "x"}, {"capture": "x"}, {"image_size": 0}, {"control_class": "x"}, {"hand": "x"}, {"task": "x"}],
+)
+def test_unknown_names_are_refused_in_one_sentence(options):
+    with pytest.raises(ValueError, match=r"^[^\n]+$"):
+        DynahoiRobotConfig(**options)
+
+
+@pytest.mark.parametrize("value", [float("nan"), None])
+def test_a_bad_action_is_refused_and_nothing_is_lost(value):
+    clock = Clock()
+    robot = robot_on(clock)
+    action = dict.fromkeys(robot.action_features, 0.0)
+    bad = {**action, "palm_x.pos": value} if value else {name: 0.0 for name in action if name != "palm_x.pos"}
+    with pytest.raises(ValueError, match=r"palm_x|finite"):
+        robot.send_action(bad)
+    catch(robot, clock)
+    assert robot.world.finished.success

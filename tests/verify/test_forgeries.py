@@ -1,0 +1,231 @@
+"""Whatever is forged below ``meta/`` and signed anew, with episodes as they were, is found, without a replay."""
+
+import dataclasses
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from dynahoi_lerobot.dataset import read_episodes
+from dynahoi_lerobot.verify.command import verify
+from tests.dataset.episodes import rewrite, sign
+from tests.tools import edit_json, generated
+
+DATA, ROWS, TASKS = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet", "meta/tasks.parquet"
+INFO, STATS, MANIFEST = "meta/info.json", "meta/stats.json", "meta/manifest.json"
+EGO, SIDE = "observation.images.ego", "observation.images.side"
+VIDEO = f"videos/{EGO}/chunk-000/file-000.mp4"
+
+Forgery = Callable[[Path], object]
+
+
+@pytest.fixture(scope="module")
+def genuine(tmp_path_factory) -> Path:
+    words = ("--image-size", "64", "--motions", "constant,lob", "--views", "side", "--video-seconds", "5")
+    return generated(tmp_path_factory.mktemp("genuine") / "d", *words, episodes=4)
+
+
+def told(path: str, *keys: str | int, value: object) -> Forgery:
+    """Forge a value of a JSON file: what ``keys`` lead to becomes ``value``, or what it makes of it."""
+
+    def change(content) -> None:
+        for key in keys[:-1]:
+            content = content[key]
+        content[keys[-1]] = value(content[keys[-1]]) if callable(value) else value
+
+    return lambda root: edit_json(root / path, change)
+
+
+def table(path: str, change: Callable[[pa.Table], pa.Table]) -> Forgery:
+    return lambda root: pq.write_table(change(pq.read_table(root / path)), root / path)
+
+
+def column(path: str, key: str, change: Callable[[list], list]) -> Forgery:
+    def apply(found: pa.Table) -> pa.Table:
+        place, field = found.schema.get_field_index(key), found.schema.field(key)
+        return found.set_column(place, field, pa.array(change(found[key].to_pylist()), field.type))
+
+    return table(path, apply)
+
+
+def swapped(values: list) -> list:
+    return [values[1], values[0], *values[2:]]
+
+
+def scaled(values: list) -> list:
+    return [(np.array(value) * 1.5 + 0.01).tolist() for value in values]
+
+
+def all_of(*forgeries: Forgery) -> Forgery:
+    return lambda root: [forgery(root) for forgery in forgeries]
+
+
+def other_instructions(root: Path) -> None:
+    """Exchange two instructions wherever they stand."""
+    one, other = pq.read_table(root / TASKS)["task"].to_pylist()[:2]
+    exchange = {one: other, other: one}
+    column(TASKS, "task", lambda texts: [exchange.get(text, text) for text in texts])(root)
+    column(ROWS, "task", lambda texts: [exchange.get(text, text) for text in texts])(root)
+    column(ROWS, "tasks", lambda rows: [[exchange.get(text, text) for text in texts] for texts in rows])(root)
+
+
+def templates(root: Path) -> None:
+    """Let LeRobot read videos, of another view, from another folder."""
+    shutil.copytree(root / f"videos/{SIDE}", root / f"clips/{EGO}")
+    shutil.copytree(root / f"videos/{EGO}", root / f"clips/{SIDE}")
+    told(INFO, "video_path", value=lambda path: path.replace("videos/", "clips/"))(root)
+
+
+def other_seeds(root: Path) -> None:
+    column(ROWS, "seed", swapped)(root)
+    told(MANIFEST, "seeds", value=swapped)(root)
+
+
+def repeated(root: Path) -> None:
+    """Put the first episode into the third one's place."""
+    first, second, _, fourth = read_episodes(root)
+    rewrite(root, [first, second, first, fourth])
+
+
+def repeated_under_another_seed(root: Path) -> None:
+    first, second, third, fourth = read_episodes(root)
+    rewrite(root, [first, second, dataclasses.replace(first, meta=third.meta), fourth])
+
+
+def images_of_another(root: Path) -> None:
+    """Show the first episode's images in the third one."""
+    first, second, third, fourth = read_episodes(root)
+    length = min(len(first), len(third))
+    shown = {
+        view: np.concatenate([first.images[view][:length], images[length:]]) for view, images in third.images.items()
+    }
+    rewrite(root, [first, second, dataclasses.replace(third, images=shown), fourth])
+
+
+def note_for_readers(root: Path) -> None:
+    """Let ``datasets`` take the action for whole numbers."""
+
+    def retyped(found: pa.Table) -> pa.Table:
+        note = found.schema.metadata[b"huggingface"].replace(b'"float32"', b'"int64"', 1)
+        return found.replace_schema_metadata({"huggingface": note})
+
+    table(DATA, retyped)(root)
+
+
+def further_rows(root: Path) -> None:
+    """Append an episode that only the tables hold."""
+    table(DATA, lambda found: pa.concat_tables([found, found.slice(0, 20)]))(root)
+    told(INFO, "total_frames", value=lambda frames: frames + 20)(root)
+
+
+def further_file(path: str, source: str) -> Forgery:
+    def copy(root: Path) -> None:
+        (root / path).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(root / source, root / path)
+
+    return copy
+
+
+META: dict[str, Forgery] = {
+    "instructions exchanged": column(TASKS, "task", swapped),
+    "instructions in another order": table(TASKS, lambda found: found.take([1, 0, *range(2, len(found))])),
+    "instructions exchanged everywhere": other_instructions,
+    "an instruction that nobody was told": column(ROWS, "task", lambda texts: ["Wave.", *texts[1:]]),
+    "instructions of the episode table exchanged": column(ROWS, "tasks", swapped),
+    "instructions of frames exchanged": column(DATA, "task_index", lambda numbers: [1 - min(n, 1) for n in numbers]),
+    "another index of instructions": table(TASKS, lambda found: found.replace_schema_metadata({})),
+    "another video": column(ROWS, f"videos/{EGO}/file_index", lambda files: files[::-1]),
+    "another view's video": column(ROWS, f"videos/{SIDE}/file_index", lambda files: [0] * len(files)),
+    "another chunk": column(ROWS, f"videos/{EGO}/chunk_index", lambda chunks: [1] * len(chunks)),
+    "another data file": column(ROWS, "data/file_index", lambda files: [1] * len(files)),
+    "times in the video shifted": column(ROWS, f"videos/{EGO}/from_timestamp", lambda times: [t + 0.05 for t in times]),
+    "ends in the video shifted": column(ROWS, f"videos/{SIDE}/to_timestamp", lambda times: [t + 1 for t in times]),
+    "times of frames shifted": column(DATA, "timestamp", lambda times: [t + 0.05 for t in times]),
+    "frames in another order": column(DATA, "frame_index", swapped),
+    "indices of frames": column(DATA, "index", lambda numbers: [n + 1 for n in numbers]),
+    "lengths": column(ROWS, "length", lambda lengths: [lengths[0] - 1, lengths[1] + 1, *lengths[2:]]),
+    "first frames": column(ROWS, "dataset_from_index", lambda starts: [0] * len(starts)),
+    "numbers of episodes": column(ROWS, "episode_index", swapped),
+    "rows exchanged": table(ROWS, lambda found: found.take([1, 0, 2, 3])),
+    "another file of the episode table": column(ROWS, "meta/episodes/file_index", lambda files: [3] * len(files)),
+    "another column of the episode table": table(ROWS, lambda found: found.append_column("note", pa.array(["x"] * 4))),
+    "templates": templates,
+    "template of the data": told(INFO, "data_path", value="data/{chunk_index}-{file_index}.parquet"),
+    "statistics: mean": told(STATS, "action", "mean", value=lambda mean: [mean[0] + 0.1, *mean[1:]]),
+    "statistics: std": told(STATS, "observation.state", "std", value=lambda std: [value / 100 for value in std]),
+    "statistics: quantile": told(STATS, "action", "q99", value=lambda found: [value * 2 for value in found]),
+    "statistics: count": told(STATS, "action", "count", value=[7]),
+    "statistics: images": told(STATS, EGO, "mean", value=[[[0.1]], [[0.2]], [[0.3]]]),
+    "statistics: range of images": told(STATS, SIDE, "max", value=[[[2.0]], [[2.0]], [[2.0]]]),
+    "statistics: one is gone": lambda root: edit_json(root / STATS, lambda stats: stats.pop("action")),
+    "statistics of an episode": column(ROWS, "stats/action/std", lambda rows: [*rows[:3], scaled(rows[3])]),
+    "images' statistics of an episode": column(ROWS, f"stats/{EGO}/std", lambda rows: [*rows[:3], scaled(rows[3])]),
+    "number of episodes": told(INFO, "total_episodes", value=3),
+    "number of frames": told(INFO, "total_frames", value=lambda frames: frames - 1),
+    "number of instructions": told(INFO, "total_tasks", value=1),
+    "files in a chunk": told(INFO, "chunks_size", value=1),
+    "size of files": told(INFO, "video_files_size_in_mb", value=1),
+    "frame rate": told(INFO, "fps", value=30),
+    "robot": told(INFO, "robot_type", value="so100"),
+    "splits": told(INFO, "splits", value={"train": "0:2", "test": "2:4"}),
+    "version": told(INFO, "codebase_version", value="v2.1"),
+    "an unknown field": lambda root: edit_json(root / INFO, lambda info: info.update(tools=[{"name": "x"}])),
+    "names of a feature": told(INFO, "features", "action", "names", value=swapped),
+    "shape of a feature": told(INFO, "features", EGO, "shape", value=[32, 32, 3]),
+    "type of a feature": told(INFO, "features", "action", "dtype", value="float64"),
+    "a feature less": lambda root: edit_json(root / INFO, lambda info: info["features"].pop("next.success")),
+    "codec": told(INFO, "features", EGO, "info", "video.crf", value=40),
+    "depth": told(INFO, "features", EGO, "info", "is_depth_map", value=True),
+    "notes for readers of the frames": note_for_readers,
+    "rows that no episode has": further_rows,
+    "a video more": further_file(f"videos/{EGO}/chunk-000/file-007.mp4", VIDEO),
+    "a data file more": further_file("data/chunk-000/file-007.parquet", DATA),
+    "a table more": further_file("meta/episodes/chunk-000/file-007.parquet", ROWS),
+    "videos of two views exchanged": lambda root: (
+        (root / VIDEO).rename(root / "v"),
+        (root / VIDEO.replace(EGO, SIDE)).rename(root / VIDEO),
+        (root / "v").rename(root / VIDEO.replace(EGO, SIDE)),
+    ),
+    "card": lambda root: (root / "README.md").write_text(
+        (root / "README.md").read_text().replace("successes", "goals")
+    ),
+    "drawing of the card": lambda root: (root / "assets/action.svg").write_text("<svg/>"),
+    "seeds": other_seeds,
+    "seeds in the manifest": told(MANIFEST, "seeds", value=swapped),
+    "counts in the manifest": told(MANIFEST, "frames", value=lambda frames: frames + 1),
+    "yields": told(MANIFEST, "yields", "kept", value=9),
+    "benchmark": told(MANIFEST, "benchmark", value="v0"),
+    "first seed of the plan": told(MANIFEST, "provenance", "seed", value=10),
+    "recipe": told(MANIFEST, "provenance", "recipe", "control_class", value="unlimited"),
+    "kinds of motion": column(ROWS, "motion", swapped),
+    "objects": column(ROWS, "object", swapped),
+    "parameters of motions": column(ROWS, "parameters", swapped),
+    "masses": column(ROWS, "stats/object_mass", swapped),
+    "homes": column(ROWS, "stats/home_position", swapped),
+    "paths": column(ROWS, "stats/target_path", lambda paths: [scaled([paths[0]])[0], *paths[1:]]),
+    "cameras": column(ROWS, "stats/ego_camera", lambda poses: [scaled([poses[0]])[0], *poses[1:]]),
+    "split": column(ROWS, "split", lambda splits: ["test"] * len(splits)),
+    "agent": column(ROWS, "agent", lambda agents: ["obact"] * len(agents)),
+    "fingerprint": column(ROWS, "fingerprint", lambda prints: ["0" * 12] * len(prints)),
+    "outcome": column(ROWS, "success", lambda found: [False, *found[1:]]),
+    "an episode twice": repeated,
+    "an episode twice, under another seed": repeated_under_another_seed,
+}
+
+
+@pytest.mark.parametrize("name", META)
+def test_forgeries_are_found_though_they_are_signed(genuine, tmp_path, name):
+    root = shutil.copytree(genuine, tmp_path / "forged")
+    META[name](root)
+    sign(root)
+    found = verify(root)
+    assert found
+    assert not [finding for finding in found if "edited" in finding.message]
+
+
+def test_what_was_forged_is_genuine_before(genuine):
+    assert verify(genuine) == []
