@@ -1,6 +1,6 @@
 """Belief: what the frames observed so far say about where the target is and where it will be."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import torch
@@ -36,20 +36,15 @@ class Outlook(Record):
 
     def at(self, q: int | slice) -> "Outlook":
         """Return that of some of the decisions, or of one, ``(B, ...)``."""
-        return Outlook(self.features[:, q], self.forecast[:, q], None if self.weights is None else self.weights[:, q])
+        return self.map(lambda x: x[:, q])
 
     def repeated(self, m: int) -> "Outlook":
         """Return that of each decision ``m`` times, ``(B * Q * m, ...)``."""
-        features, forecast = (repeat(x, "b q ... -> (b q m) ...", m=m) for x in (self.features, self.forecast))
-        return Outlook(features, forecast)
+        return replace(self, weights=None).map(lambda x: repeat(x, "b q ... -> (b q m) ...", m=m))
 
     def unflattened(self, b: int) -> "Outlook":
         """Return that of decisions ``(b * Q, 1)`` as ``(b, Q)``."""
-        held = (
-            None if x is None else rearrange(x, "(b q) 1 ... -> b q ...", b=b)
-            for x in (self.features, self.forecast, self.weights)
-        )
-        return Outlook(*held)
+        return self.map(lambda x: rearrange(x, "(b q) 1 ... -> b q ...", b=b))
 
 
 class Belief(nn.Module):

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import torch
 from torch import Tensor
@@ -20,10 +21,14 @@ if TYPE_CHECKING:
 class Record:
     """Tensors, and records of those, by name."""
 
+    def map(self, change: Callable[[Any], Any]) -> Self:
+        """Return it with all that it holds changed."""
+        held = {field.name: getattr(self, field.name) for field in fields(self)}
+        return replace(self, **{name: change(x) for name, x in held.items() if x is not None})
+
     def to(self, device: str | torch.device) -> Self:
         """Return it with all that it holds on a device."""
-        held = {field.name: getattr(self, field.name) for field in fields(self)}
-        return replace(self, **{name: x.to(device) for name, x in held.items() if x is not None})
+        return self.map(lambda x: x.to(device))
 
 
 @dataclass(frozen=True)

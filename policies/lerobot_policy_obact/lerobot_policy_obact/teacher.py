@@ -7,7 +7,7 @@ all of them. There is one for each rule of capture: `Meet` and `Grip`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import torch
@@ -40,7 +40,7 @@ class Targets(Record):
 
     def of(self, chosen: Tensor) -> Targets:
         """Return those of episodes ``(B,)``."""
-        return Targets(*(getattr(self, field.name)[chosen] for field in fields(self)))
+        return self.map(lambda x: x[chosen])
 
     def is_held(self, frame: Tensor) -> Tensor:
         """Return whether targets are in the hand in frames ``(B, Q)``."""
