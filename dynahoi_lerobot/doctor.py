@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
 def examine(folder: Path) -> Iterator[Fact]:
     """Yield the facts of every part, of the disk that of the output ``folder``; a part that raises is a problem."""
     parts = {
-        "processor": processor(), "disk": disk(folder), "gpu": gpu(), "codecs": codecs(),
+        "processor": processor(), "disk": disk(folder), "cache": encoded_images(), "gpu": gpu(), "codecs": codecs(),
         "versions": versions(), "plugins": plugins(), "pace": pace(),
     }  # fmt: skip
     for name, facts in parts.items():
@@ -128,6 +128,15 @@ def disk(folder: Path) -> Iterator[Fact]:
     room = f"room for about {free_gb / EPISODE_MB:.0f} thousand episodes at 128 px"
     follows = room if enough else f"{LEAST_GB} GB are needed"
     yield Fact("disk", f"{free_gb:.1f} GB free in {place}", follows, problem=not enough)
+
+
+def encoded_images() -> Iterator[Fact]:
+    """Yield the size of ObAct's cache of encoded images, where LeRobot keeps its datasets."""
+    cache = os.environ.get("HF_HOME") or Path.home() / ".cache" / "huggingface"
+    folder = Path(os.environ.get("HF_LEROBOT_HOME") or Path(cache) / "lerobot") / "obact_sightings"
+    sizes = [file.stat().st_size for file in folder.glob("*.safetensors")] if folder.is_dir() else []
+    if sizes:
+        yield Fact("encoded images", f"{len(sizes)} datasets, {sum(sizes) / 1e6:.0f} MB in {folder}", "may be deleted")
 
 
 def gpu() -> Iterator[Fact]:

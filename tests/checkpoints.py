@@ -63,5 +63,6 @@ def tiny_diffusion(folder: Path) -> Path:
 def tiny_obact(folder: Path) -> Path:
     """Write an ObAct for images of 32 pixels, which sees six frames and executes half of its chunks of eight."""
     small = {"dim": 16, "n_heads": 2, "width": 32, "n_points": 4, "head_options": {"width": 16}, "ema_decay": 0.0}
-    small |= {"encoder_options": {"channels": 8}, "horizon": 8, "n_action_steps": 4, "relative_dims": 3}
+    small |= {"encoder": "conv", "encoder_options": {"channels": 8}, "freeze_encoder": False, "horizon": 8}
+    small |= {"n_obs_frames": 5, "obs_stride": 2, "n_action_steps": 4}
     return saved(ObActConfig(**small, **FEATURES), folder)

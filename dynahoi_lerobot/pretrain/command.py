@@ -41,9 +41,12 @@ def setting(text: str) -> tuple[str, Any]:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Train, print a line at each save, and return the exit code: 0 done, 1 the loss was not finite."""
-    from lerobot_policy_obact.eye_training import Training
-
+    """Train, print a line at each save, and return the exit code: 1 without ObAct or for a loss that is not finite."""
+    try:
+        from dynahoi_lerobot.pretrain.eye_training import Training
+    except ImportError as error:
+        print(f"dynahoi pretrain: needs ObAct ({error}): install lerobot_policy_obact", file=sys.stderr)
+        return FAILED
     changes = dict(args.set) | ({} if args.out is None else {"out": str(args.out)})
     recipe = read_recipe(args.recipe, **changes)
     training = Training(recipe, ImageStream(recipe))

@@ -25,9 +25,8 @@ from dynahoi_lerobot.world.physics import Physics
 from dynahoi_lerobot.world.sensors import Cameras, Fingertips, ImageHistory, camera_pose, intrinsics, with_render_noise
 
 if TYPE_CHECKING:
-    from lerobot_policy_obact.detector import Detector
-
     from dynahoi_lerobot.sampling.recipe import Recipe
+    from dynahoi_lerobot.world.detector import Detector
 
 KINEMATICS = mujoco.mjtStage.mjSTAGE_POS.value
 STAGE_FRAMES = 32
@@ -385,11 +384,9 @@ class WorldBatch:
             ValueError: if that is not installed.
         """
         try:
-            from lerobot_policy_obact.detector import Detector
+            from dynahoi_lerobot.world.detector import Detector
         except ImportError as error:
-            raise ValueError(
-                f"environment_state {EYE} needs ObAct ({error}): install ./policies/lerobot_policy_obact"
-            ) from error
+            raise ValueError(f"environment_state {EYE} needs ObAct ({error}): install lerobot_policy_obact") from error
         model = self.scene.model
         return Detector(self.size, camera_pose(model, EGO_VIEW), intrinsics(model, EGO_VIEW, self.cameras.image_size))
 

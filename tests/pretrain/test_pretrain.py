@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 import torch
 import yaml
-from lerobot_policy_obact import eye_training
 from lerobot_policy_obact.encoders import Eye
 from safetensors.torch import load_file
 
 from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.pretrain import eye_training
 from dynahoi_lerobot.pretrain.run_folder import LOG, RunFolder
 
 TINY_EYE = {"channels": 8, "fovea": 12}

@@ -12,6 +12,8 @@ from torch import Tensor, nn
 AGE_STEP_S, N_AGES = 0.05, 128
 """A bias by age is learned at this many ages, this far apart, and interpolated between them."""
 KEY_DIM = 16
+MEMORY_FRAMES = 200
+"""So many frames are remembered, ten seconds."""
 
 
 class SpatialAttention(nn.Module):
@@ -55,8 +57,27 @@ def cell_rays(height: int, width: int, device: torch.device) -> Tensor:
     return rearrange(torch.stack(torch.meshgrid(u, v, indexing="xy"), dim=-1), "h w i -> (h w) i")
 
 
+class Memory:
+    """What attention keeps of the frames before, so that frames may come one at a time, or many at once."""
+
+    def __init__(self) -> None:
+        self._kept: dict[object, Tensor] = {}
+
+    def extended(self, owner: object, new: Tensor, dim: int) -> Tensor:
+        """Return what was kept for ``owner`` and, along ``dim``, what is new; that is kept for the next time."""
+        if (kept := self._kept.get(owner)) is not None:
+            kept = kept.narrow(dim, max(0, kept.shape[dim] - MEMORY_FRAMES), min(kept.shape[dim], MEMORY_FRAMES))
+            new = torch.cat([kept, new], dim)
+        self._kept[owner] = new
+        return new
+
+    def first(self, owner: object, new: Tensor) -> Tensor:
+        """Return what was given for ``owner`` the first time."""
+        return self._kept.setdefault(owner, new)
+
+
 class AgeBias(nn.Module):
-    """A bias on attention logits by the age of a frame; minus infinity for frames that lie ahead or are masked.
+    """A bias on attention logits by the age of a frame; minus infinity for frames that lie ahead.
 
     Args:
         n_heads: one bias each.
@@ -67,11 +88,13 @@ class AgeBias(nn.Module):
         self.table = nn.Parameter(torch.zeros(n_heads, N_AGES))
 
     def forward(self, age_s: Tensor) -> Tensor:
-        """Map ages ``(..., Q, K)`` [s], negative where a frame lies ahead, to ``(..., heads, Q, K)``."""
+        """Map ages ``(Q, K)`` [s], negative where a frame lies ahead, to ``(heads, Q, K)``."""
         place = (age_s / AGE_STEP_S).clamp(0, N_AGES - 1)
-        between = 1 - (place[..., None] - torch.arange(N_AGES, device=age_s.device)).abs()  # linear interpolation
-        bias = rearrange(between.clamp_min(0) @ self.table.T, "... q k heads -> ... heads q k")
-        return bias.masked_fill((age_s < -AGE_STEP_S / 2)[..., None, :, :], float("-inf"))
+        younger = place.floor().long().clamp_max(N_AGES - 2)
+        between = (place - younger)[..., None]  # linear interpolation
+        near, far = (nn.functional.embedding(index, self.table.T) for index in (younger, younger + 1))
+        bias = rearrange(torch.lerp(near, far, between), "q k heads -> heads q k")
+        return bias.masked_fill(age_s < -AGE_STEP_S / 2, float("-inf"))
 
 
 class TemporalBlock(nn.Module):
@@ -89,9 +112,10 @@ class TemporalBlock(nn.Module):
         self.qkv, self.out, self.bias = nn.Linear(dim, 3 * dim), nn.Linear(dim, dim), AgeBias(n_heads)
         self.mlp = nn.Sequential(nn.Linear(dim, 2 * dim), nn.GELU(), nn.Linear(2 * dim, dim))
 
-    def forward(self, tokens: Tensor, age_s: Tensor) -> Tensor:
-        """Map tokens ``(B, T, D)`` to tokens; ``age_s`` is ``(T, T)``, see `AgeBias`."""
+    def forward(self, tokens: Tensor, age_s: Tensor, memory: Memory) -> Tensor:
+        """Map tokens of T new frames ``(B, T, D)`` to tokens; their ages since all frames are ``(T, S)``."""
         q, k, v = rearrange(self.qkv(self.norm_1(tokens)), "b t (n h d) -> n b h t d", n=3, h=self.n_heads)
+        k, v = memory.extended((self, "k"), k, 2), memory.extended((self, "v"), v, 2)
         mixed = nn.functional.scaled_dot_product_attention(q, k, v, attn_mask=self.bias(age_s).to(q.dtype))
         tokens = tokens + self.out(rearrange(mixed, "b h t d -> b t (h d)"))
         return tokens + self.mlp(self.norm_2(tokens))
@@ -113,18 +137,22 @@ class PositionReadout(nn.Module):
             ages = torch.linspace(0, 24, n_points)
             self.bias.table.copy_(-0.3 * (torch.arange(N_AGES) - ages[:, None]).abs())
 
-    def forward(self, tokens: Tensor, positions: Tensor, age_s: Tensor, rows: Tensor) -> Tensor:
-        """Return positions ``(B, Q, J, 3)`` [m].
+    def forward(
+        self, tokens: Tensor, positions: Tensor, age_s: Tensor, rows: Tensor, memory: Memory
+    ) -> tuple[Tensor, Tensor]:
+        """Return positions ``(B, Q, J, 3)`` [m], and the weights of the frames in them, ``(B, Q, J, S)``.
 
         Args:
-            tokens: of all frames, ``(B, T, D)``.
+            tokens: of T new frames, ``(B, T, D)``.
             positions: sighted in them [m], ``(B, T, 3)``.
-            age_s: ``(T, T)`` [s], see `AgeBias`.
-            rows: frames of the decisions, ``(B, Q)``.
+            age_s: since all S frames, ``(T, S)`` [s], see `AgeBias`.
+            rows: frames of the decisions, ``(B, Q)``, counted among the new ones.
+            memory: of the frames before.
         """
+        keys, positions = memory.extended(self, self.key(tokens), 1), memory.extended((self, "positions"), positions, 1)
         chosen = repeat(rows, "b q -> b q d", d=tokens.shape[-1])
-        queries = rearrange(self.query(tokens.gather(1, chosen)), "b q (j d) -> b j q d", j=self.n_points)
-        bias = self.bias(age_s).index_select(1, rows.flatten())  # (J, B * Q, T)
-        bias = rearrange(bias, "j (b q) t -> b j q t", q=rows.shape[1])
-        logits = einsum(queries, self.key(tokens), "b j q d, b t d -> b j q t") / KEY_DIM**0.5
-        return einsum((logits + bias).softmax(-1), positions, "b j q t, b t i -> b q j i")
+        queries = rearrange(self.query(tokens.gather(1, chosen)), "b q (j d) -> b q j d", j=self.n_points)
+        bias = rearrange(self.bias(age_s), "j t s -> t j s")[rows]  # (B, Q, J, S)
+        logits = einsum(queries, keys, "b q j d, b s d -> b q j s") / KEY_DIM**0.5
+        weights = (logits + bias).softmax(-1)
+        return einsum(weights, positions, "b q j s, b s i -> b q j i"), weights

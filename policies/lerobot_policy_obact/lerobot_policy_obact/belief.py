@@ -1,13 +1,15 @@
 """Belief: what the frames observed so far say about where the target is and where it will be."""
 
+from dataclasses import dataclass, replace
 from typing import cast
 
 import torch
 from einops import einsum, rearrange, repeat
 from torch import Tensor, nn
 
-from .attention import PositionReadout, TemporalBlock
+from .attention import Memory, PositionReadout, TemporalBlock
 from .camera import Pinhole
+from .frames import Record
 from .heads import perceptron
 
 FORECAST_FRAMES = (0, 1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48)
@@ -16,6 +18,33 @@ PLACE_M, RAY_M, POINT_M = 0.3, 0.4, 0.1
 """Units in which places, their offsets from the camera and differences between points enter the network."""
 FAR = 8.0
 """Inputs are cut to this many units."""
+
+
+@dataclass(frozen=True)
+class Outlook(Record):
+    """What decisions, ``(B, Q)``, believe.
+
+    Attributes:
+        features: ``(B, Q, D)``.
+        forecast: of the target [m], ``(B, Q, K, 3)``, see `FORECAST_FRAMES`.
+        weights: of the S frames observed in the J positions that were read out, ``(B, Q, J, S)``; None without those.
+    """
+
+    features: Tensor
+    forecast: Tensor
+    weights: Tensor | None = None
+
+    def at(self, q: int | slice) -> "Outlook":
+        """Return that of some of the decisions, or of one, ``(B, ...)``."""
+        return self.map(lambda x: x[:, q])
+
+    def repeated(self, m: int) -> "Outlook":
+        """Return that of each decision ``m`` times, ``(B * Q * m, ...)``."""
+        return replace(self, weights=None).map(lambda x: repeat(x, "b q ... -> (b q m) ...", m=m))
+
+    def unflattened(self, b: int) -> "Outlook":
+        """Return that of decisions ``(b * Q, 1)`` as ``(b, Q)``."""
+        return self.map(lambda x: rearrange(x, "(b q) 1 ... -> b q ...", b=b))
 
 
 class Belief(nn.Module):
@@ -60,31 +89,41 @@ class Belief(nn.Module):
         return cast("list[Pinhole]", list(self._cameras))
 
     def forward(
-        self, sightings: Tensor, palm: Tensor, extra: Tensor, time_s: Tensor, rows: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Return features ``(B, Q, D)`` and forecasts ``(B, Q, K, 3)`` [m] of decisions at frames ``rows`` ``(B, Q)``.
+        self,
+        sightings: Tensor,
+        palm: Tensor,
+        extra: Tensor,
+        time_s: Tensor,
+        rows: Tensor,
+        *,
+        memory: Memory | None = None,
+    ) -> Outlook:
+        """Return what decisions at frames ``rows`` ``(B, Q)`` believe.
 
         Args:
-            sightings: by camera, ``(B, T, C, 5)``.
+            sightings: in T frames by camera, ``(B, T, C, 5)``.
             palm: where the palm is [m], ``(B, T, 3)``.
             extra: what else a token holds, ``(B, T, E)``.
             time_s: when the frames were seen [s], ``(T,)``, rising.
             rows: frames of the decisions.
+            memory: of frames before these, which it also is to keep.
         """
+        memory = memory or Memory()
         places = torch.stack(
             [cam.origin(palm) + cam.place(sightings[:, :, i, :3]) for i, cam in enumerate(self.cameras)], 2
         )
         position = fused(self.cameras, sightings, places, palm)
-        origin = position[:, :1]
+        origin = memory.first("origin", position[:, :1])
         tokens = self.token(self._numbers(sightings, places, position - origin, palm, extra))
-        age_s = time_s[:, None] - time_s  # (T, T), negative ahead
+        age_s = time_s[:, None] - memory.extended("time", time_s, 0)  # (T, S), negative ahead
         for block in self.blocks:
-            tokens = block(tokens, age_s)
+            tokens = block(tokens, age_s, memory)
         tokens = self.norm(tokens)
         chosen = repeat(rows, "b q -> b q d", d=tokens.shape[-1])
-        decisions = tokens.gather(1, chosen)
-        points = self.readout(tokens, position - origin, age_s, rows) if self.n_points else None
-        return decisions, self._forecast(decisions, points) + origin[:, :, None]
+        features, points, weights = tokens.gather(1, chosen), None, None
+        if self.n_points:
+            points, weights = self.readout(tokens, position - origin, age_s, rows, memory)
+        return Outlook(features, self._forecast(features, points) + origin[:, :, None], weights)
 
     def _numbers(self, sightings: Tensor, places: Tensor, position: Tensor, palm: Tensor, extra: Tensor) -> Tensor:
         scales = sightings[..., 3:5]

@@ -10,16 +10,49 @@ from lerobot.policies.rtc import RTCConfig
 
 from .encoders import ENCODERS
 from .gr00t_head import Gr00tHead
-from .heads import DiffusionHead, FlowHead, RegressionHead
+from .heads import ActionHead, DiffusionHead, FlowHead
 
 MAX_SAMPLING = 100
 """Most steps, and most draws, of a head."""
 HEADS: dict[str, Callable[..., Any]] = {
     "diffusion": DiffusionHead,
     "flow": FlowHead,
-    "regression": RegressionHead,
+    "regression": ActionHead,
     "gr00t": Gr00tHead,
 }
+
+
+CONTACT = "contact"
+"""The rule of capture under which targets must be gripped; under all others the palm has to come near enough."""
+WINDOW_FRAMES = 5
+"""Frames before the current one that LeRobot loads where a decision is to see all."""
+
+
+@dataclass(frozen=True)
+class Rig:
+    """What a dataset says of the robot that it was recorded with, and of its task.
+
+    Attributes:
+        fps: frame rate [Hz].
+        calibration: of each camera: pose from the palm (position [m], quaternion wxyz), tangent of half the field of
+            view, and 1 if the palm carries it, else 0. A camera without one sees rays of unit depth.
+        delay_frames: control steps from a command to its effect.
+        palm_speed_m_s: the palm's speed limit.
+        capture: the rule of capture; empty where the target's path is not known.
+        radius_m: within which the palm has the target, unless it must be gripped.
+    """
+
+    fps: float = 20.0
+    calibration: dict[str, list[float]] = field(default_factory=dict)
+    delay_frames: int = 0
+    palm_speed_m_s: float = 0.0
+    capture: str = ""
+    radius_m: float = 0.03
+
+    @property
+    def step_m(self) -> float:
+        """How far a palm gets in a frame [m]."""
+        return self.palm_speed_m_s / self.fps
 
 
 @PreTrainedConfig.register_subclass("obact")
@@ -27,8 +60,11 @@ HEADS: dict[str, Callable[..., Any]] = {
 class ObActConfig(PreTrainedConfig):
     """Observe before act (DynaHOI, Section 4): what was observed conditions a generative action head.
 
+    The defaults are those of a dataset of DynaHOI. For others, `README.md` says what to change.
+
     Attributes:
-        n_obs_frames: observed frames before the current one, the paper's ``s``; 0 is the single-frame control.
+        n_obs_frames: observed frames before the current one, the paper's ``s``; 0 is the single-frame control, None all
+            of the last ten seconds.
         obs_stride: distance between observed frames [frames].
         horizon: actions in a predicted chunk, ``H``.
         n_action_steps: actions of a chunk that are executed before the policy replans.
@@ -37,67 +73,59 @@ class ObActConfig(PreTrainedConfig):
         encoder: one of `ENCODERS`.
         encoder_options: keyword options of that encoder. In a text, ``{view}`` stands for the last part of the key of
             the image, so that each camera may start from weights of its own.
-        freeze_encoder: whether training leaves its weights alone.
-        encode_once: encode all frames of the dataset before training begins, which then reads no images. It takes a
-            frozen encoder. With a dataset that holds the target's path, each decision is also taken from virtual palms.
+        freeze_encoder: whether training leaves its weights alone. All images are then encoded before training begins,
+            which reads no others; with a dataset that holds the target's path, it also shows virtual hands.
+        cache_images: whether encoded images are kept on disk for the next run.
         head: one of `HEADS`.
         head_options: keyword options of that head.
+        noise_seed: of the noise that actions are sampled from. It is drawn anew for every decision, but as a function
+            of the frame's number in its episode alone, so that a policy is a function of what it sees.
         dim: size of a frame's token, ``D``.
         n_layers: temporal attention blocks.
         n_heads: heads of each.
         n_points: readouts whose values are the positions sighted, ``J``; 0 for none.
         width: size of the context that the head reads, ``C``.
-        virtual_share: share of the batches that show virtual hands, see `virtual_episodes`, where the target's path is
-            known.
-        episodes_per_sample: episodes that a sample stands for with ``encode_once``: its own and others drawn at
-            random from those that batches have named so far. LeRobot decodes an image for every sample, which then goes
-            unused.
-        n_decisions: decisions in an episode at which the loss is computed, with ``encode_once``.
+        virtual_share: share of the batches that show virtual hands, see `virtual_episodes`.
+        episodes_per_sample: episodes that a sample stands for with a frozen encoder, drawn from those that batches have
+            named so far. LeRobot decodes an image for every sample, which then goes unused.
+        n_decisions: decisions in an episode at which the losses of forecast and action are computed.
         forecast_weight: weight of the loss of the forecast; 0 learns the recorded actions alone, without the target's
             path.
-        action_weight: weight of the loss of the head.
+        action_weight: weight of the loss of imitation.
+        closed_loop_weight: weight of the loss of palms that are rolled out, see `closed_loop`.
         ema_decay: of the average of the weights, which acts.
-        fps: frame rate of the data [Hz]; taken from the dataset, like all below.
-        calibration: of each camera: pose from the palm (position [m], quaternion wxyz), tangent of half the field of
-            view, and 1 if the palm carries it, else 0. A camera without one sees rays of unit depth.
-        delay_frames: control steps from a command to its effect.
-        palm_speed_m_s: the palm's speed limit; only the labels of virtual palms need it.
-        forecasts: whether it learned to forecast the target; the head then reads the forecast instead of the state.
-        grips: whether targets must be gripped; the head then also reads how far each joint is closed.
+        rig: taken from the dataset.
         rtc_config: real-time chunking, set by LeRobot's rollout.
     """
 
-    n_obs_frames: int = 5
-    obs_stride: int = 2
-    horizon: int = 16
-    n_action_steps: int = 8
-    relative_dims: int = 0
+    n_obs_frames: int | None = None
+    obs_stride: int = 1
+    horizon: int = 8
+    n_action_steps: int = 1
+    relative_dims: int = 3
 
-    encoder: str = "conv"
-    encoder_options: dict[str, Any] = field(default_factory=dict)
-    freeze_encoder: bool = False
-    encode_once: bool = False
+    encoder: str = "eye"
+    encoder_options: dict[str, Any] = field(default_factory=lambda: {"weights": "{view}_96"})
+    freeze_encoder: bool = True
+    cache_images: bool = True
     head: str = "diffusion"
     head_options: dict[str, Any] = field(default_factory=dict)
+    noise_seed: int = 0
     dim: int = 128
     n_layers: int = 2
     n_heads: int = 4
     n_points: int = 12
     width: int = 256
 
-    virtual_share: float = 0.7
-    episodes_per_sample: int = 1
-    n_decisions: int = 10
+    virtual_share: float = 0.8
+    episodes_per_sample: int = 8
+    n_decisions: int = 5
     forecast_weight: float = 1.0
     action_weight: float = 1.0
+    closed_loop_weight: float = 4.0
     ema_decay: float = 0.995
 
-    fps: float = 20.0
-    calibration: dict[str, list[float]] = field(default_factory=dict)
-    delay_frames: int = 0
-    palm_speed_m_s: float = 0.0
-    forecasts: bool = False
-    grips: bool = False
+    rig: Rig = field(default_factory=Rig)
     rtc_config: RTCConfig | None = None
 
     # images in [0, 1], metres and radians: encoders and heads standardise by themselves
@@ -113,16 +141,17 @@ class ObActConfig(PreTrainedConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("obs_stride", "horizon", "n_decisions", "dim", "n_heads", "width"):
+        for name in ("obs_stride", "horizon", "episodes_per_sample", "n_decisions", "dim", "n_heads", "width"):
             self._require(getattr(self, name) >= 1, name, "1 or more")
-        for name in ("n_obs_frames", "relative_dims", "n_points", "n_layers", "forecast_weight"):
+        weights = ("forecast_weight", "action_weight", "closed_loop_weight")
+        for name in ("relative_dims", "n_points", "n_layers", "noise_seed", *weights):
             self._require(getattr(self, name) >= 0, name, "0 or more")
+        self._require(self.n_obs_frames is None or self.n_obs_frames >= 0, "n_obs_frames", "0 or more, or null for all")
         self._require(1 <= self.n_action_steps <= self.horizon, "n_action_steps", f"1 to {self.horizon} (horizon)")
         self._require(self.dim % self.n_heads == 0, "dim", "a multiple of n_heads")
         self._require(self.encoder in ENCODERS, "encoder", f"one of {', '.join(ENCODERS)}")
         self._require(self.head in HEADS, "head", f"one of {', '.join(HEADS)}")
         self._require(0 <= self.ema_decay < 1, "ema_decay", "0 or more and below 1")
-        self._require(self.freeze_encoder or not self.encode_once, "freeze_encoder", "true with encode_once")
         for name in ("n_steps", "n_draws"):
             if not 1 <= (value := self.head_options.get(name, 1)) <= MAX_SAMPLING:
                 raise ValueError(f"head_options.{name} is {value}, but must be 1 to {MAX_SAMPLING}.")
@@ -134,14 +163,30 @@ class ObActConfig(PreTrainedConfig):
             raise ValueError(f"{name} is {getattr(self, name)!r}, but must be {allowed}.")
 
     @property
+    def forecasts(self) -> bool:
+        """Whether it learns to forecast the target; the head then reads the forecast instead of the state."""
+        return self.freeze_encoder and self.forecast_weight > 0 and bool(self.rig.capture)
+
+    @property
+    def grips(self) -> bool:
+        """Whether the target must be gripped; the head then also reads how far each joint is closed."""
+        return self.forecasts and self.rig.capture == CONTACT
+
+    @property
     def lookback(self) -> list[int]:
-        """Offsets of the frames that a decision sees, oldest first [frames]."""
-        return [-i * self.obs_stride for i in range(self.n_obs_frames, -1, -1)]
+        """Offsets of the frames that a window shows, oldest first [frames]."""
+        n = WINDOW_FRAMES if self.n_obs_frames is None else self.n_obs_frames
+        return [-i * self.obs_stride for i in range(n, -1, -1)]
+
+    @property
+    def ages_s(self) -> list[float]:
+        """Ages of those frames [s]."""
+        return [-offset / self.rig.fps for offset in self.lookback]
 
     @property
     def observation_delta_indices(self) -> list[int] | None:
-        """Frames that LeRobot loads for every ``observation.*`` key; with ``encode_once`` the current one alone."""
-        if self.encode_once:
+        """Frames that LeRobot loads for every ``observation.*`` key; with a frozen encoder the current one alone."""
+        if self.freeze_encoder:
             return None
         pairs = (0, 1) if ENCODERS[self.encoder].sees_motion else (0,)
         return sorted({offset - pair for offset in self.lookback for pair in pairs})

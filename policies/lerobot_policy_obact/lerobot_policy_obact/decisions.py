@@ -1,56 +1,93 @@
-"""What a decision is made from and learned from: observed frames, and what should have been done."""
+"""What is learned from: episodes, decisions in them, and what should have been done. Training only."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, Self
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import torch
-from lerobot.utils.constants import ACTION
+from einops import repeat
 from torch import Tensor
+
+from .belief import FORECAST_FRAMES
+from .frames import Frames, Record, palm_of
+from .teacher import Targets, Teacher
 
 if TYPE_CHECKING:
     from .configuration_obact import ObActConfig
 
-
-@dataclass(frozen=True)
-class Record:
-    """Tensors, and records of those, by name."""
-
-    def to(self, device: str | torch.device) -> Self:
-        """Return it with all that it holds on a device."""
-        held = {field.name: getattr(self, field.name) for field in fields(self)}
-        return replace(self, **{name: x.to(device) for name, x in held.items() if x is not None})
+EARLY_SHARE, EARLIEST_FRAME = 0.15, 3
+"""Share of the decisions that are taken anywhere in the observation window, and the first frame at which."""
+UNREACHABLE_WEIGHT = 0.1
+"""Weight of what should be done about a target that is out of reach."""
 
 
 @dataclass(frozen=True)
-class Frames(Record):
-    """T frames of B episodes, in the order of time.
+class Episodes:
+    """B episodes of T frames; one that is over repeats its last frame.
 
     Attributes:
-        sightings: by camera (u, v, log depth) and two log scales, then what else the encoder says, ``(B, T, C, 5 +
-            E)``.
-        state: of the robot, ``(B, T, S)``.
-        time_s: when they were seen [s], ``(T,)``.
+        sightings, state, actions: of the frames, ``(B, T, ...)``.
+        count: frames of each, ``(B,)``.
+        window: frames of the observation window, ``(B,)``.
+        fps: frame rate [Hz].
+        targets: what is known of the targets; None if nothing is.
     """
 
     sightings: Tensor
     state: Tensor
-    time_s: Tensor
+    actions: Tensor
+    count: Tensor
+    window: Tensor
+    fps: float
+    targets: Targets | None
 
-    @property
-    def palm(self) -> Tensor:
-        """Where the palm is [m], ``(B, T, 3)``: the first entries of the state, as many as there are."""
-        return torch.nn.functional.pad(self.state[..., :3], (0, max(0, 3 - self.state.shape[-1])))
+    def frames(self, rows: Tensor) -> Frames:
+        """Return the frames up to the last of ``rows``."""
+        n = int(rows.max()) + 1
+        return Frames(self.sightings[:, :n], self.state[:, :n], torch.arange(n) / self.fps)
 
-    def until(self, last: int) -> Frames:
-        """Return the frames up to number ``last``."""
-        return Frames(self.sightings[:, : last + 1], self.state[:, : last + 1], self.time_s[: last + 1])
+    def palm(self, frame: Tensor) -> Tensor:
+        """Return where the palm is in frames ``(B, Q)`` [m], ``(B, Q, 3)``."""
+        batch = torch.arange(len(frame))[:, None]
+        return palm_of(self.state[batch, frame.clamp_max(self.state.shape[1] - 1)])
 
-    def windows(self, index: Tensor, time_s: Tensor) -> Frames:
-        """Return windows ``(B * Q, W)`` of frames ``(B, Q, W)``, seen at ``time_s`` ``(W,)``; frame 0 repeats."""
-        rows, held = torch.arange(len(index), device=index.device)[:, None, None], index.clamp_min(0)
-        return Frames(self.sightings[rows, held].flatten(0, 1), self.state[rows, held].flatten(0, 1), time_s)
+    def decision_rows(self, n: int, late: int) -> Tensor:
+        """Draw frames at which decisions are taken, ``(B, n)``: mostly where the hand may move."""
+        last = self.count - 1 - late
+        if self.targets is not None:
+            last = torch.minimum(last, torch.minimum(self.targets.length - 3 - late, self.targets.free - 1))
+        last = last.clamp_min(EARLIEST_FRAME + 1)[:, None]
+        start = torch.where(torch.rand(len(last), n) < EARLY_SHARE, EARLIEST_FRAME, self.window[:, None])
+        start = torch.minimum(start, last - 1)
+        return torch.minimum(start + (torch.rand(start.shape) * (last - start + 0.999)).long(), last)
+
+    def decisions(self, rows: Tensor, teacher: Teacher | None, config: ObActConfig) -> Decisions:
+        """Return decisions at ``rows`` ``(B, Q)``: what was done there, or the teacher's answers for several palms."""
+        batch = torch.arange(len(rows))[:, None]
+        state, late = self.state[batch, rows][:, :, None], config.rig.delay_frames
+        palm = self.palm(rows + late)
+        if self.targets is None or teacher is None:
+            ahead, last = rows[..., None] + torch.arange(config.horizon), self.count[:, None, None] - 1  # (B, Q, H)
+            actions, weight = self.actions[batch[..., None], torch.minimum(ahead, last)], (ahead <= last).float()
+            return Decisions(palm[:, :, None], state, actions[:, :, None], weight[:, :, None])
+        targets = self.targets
+        due = torch.minimum(rows + late, targets.length[:, None] - 2)
+        palms = teacher.palms(targets, due, palm)
+        told = teacher.answer(targets, due, palms, config.horizon)
+        index = rows[..., None] + torch.tensor(FORECAST_FRAMES)
+        weight = torch.where(told.reachable, 1.0, UNREACHABLE_WEIGHT)
+        return Decisions(
+            palm=palms,
+            state=state.expand(-1, -1, palms.shape[2], -1),
+            actions=torch.cat([told.goal, teacher.joints(told.closing)], dim=-1),
+            weight=repeat(weight, "b q m -> b q m h", h=config.horizon),
+            future=Future(
+                place=targets.places(index, rows),
+                known=index < targets.length[:, None, None],
+                near=_nearness(told.frames + late, told.reachable),
+            ),
+        )
 
 
 @dataclass(frozen=True)
@@ -73,13 +110,18 @@ class Future(Record):
         return (error / (0.05 + 0.3 * ahead_s)).mean((1, 2)) + 10 * (error * self.near).sum(-1).mean(1)
 
 
+def _nearness(frames: Tensor, reachable: Tensor) -> Tensor:
+    """Return the weight of each time of the forecast for meetings in ``frames`` ``(B, Q, M)``, ``(B, Q, K)``."""
+    left = frames.clamp_max(FORECAST_FRAMES[-1]).float()[..., None]
+    weight = (1 - (torch.tensor(FORECAST_FRAMES) - left).abs() / (1 + 0.25 * left)).clamp_min(0)
+    return (weight / weight.sum(-1, keepdim=True).clamp_min(1e-6) * reachable[..., None]).mean(2)
+
+
 @dataclass(frozen=True)
 class Decisions(Record):
-    """Decisions and what they should have been: Q in each of B episodes, each from M palms.
+    """What Q decisions in each of B episodes should have been, from each of M palms.
 
     Attributes:
-        frames: what was observed, ``(B, T)``.
-        rows: frames of the decisions, ``(B, Q)``.
         palm: where the palm is when the command takes effect [m], ``(B, Q, M, 3)``.
         state: of the robot, ``(B, Q, M, S)``.
         actions: the right ones, ``(B, Q, M, H, A)``.
@@ -87,36 +129,8 @@ class Decisions(Record):
         future: where the target will be; None if nobody knows.
     """
 
-    frames: Frames
-    rows: Tensor
     palm: Tensor
     state: Tensor
     actions: Tensor
     weight: Tensor
     future: Future | None = None
-
-
-def observed(batch: dict[str, Any], sightings: Tensor, state: Tensor, config: ObActConfig) -> Decisions:
-    """Return the decisions of a batch of windows, one a sample.
-
-    Args:
-        batch: LeRobot batch with ``action`` ``(B, H, A)``.
-        sightings: of the window's images, ``(B, T, C, 5 + E)``.
-        state: of the robot in it, ``(B, T, S)``.
-        config: of the policy.
-    """
-    n = len(state)
-    time_s = torch.tensor(config.lookback, device=state.device) / config.fps
-    frames = Frames(sightings, state, time_s)
-    padding = batch.get(f"{ACTION}_is_pad")
-    weight = torch.ones(batch[ACTION].shape[:2], device=state.device) if padding is None else (~padding).float()
-    rows = torch.full((n, 1), state.shape[1] - 1, device=state.device)
-    now = slice(-1, None)
-    return Decisions(
-        frames,
-        rows,
-        frames.palm[:, now, None],
-        state[:, now, None],
-        batch[ACTION][:, None, None],
-        weight[:, None, None],
-    )

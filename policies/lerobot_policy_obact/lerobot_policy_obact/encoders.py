@@ -11,7 +11,7 @@ to be Laplace distributed.
 
 import math
 from pathlib import Path
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 import torch
 import torch.nn.functional as F
@@ -40,7 +40,6 @@ class Encoder(nn.Module):
 
     sees_motion: ClassVar[bool] = False
     """Whether it takes each image together with the one before, ``(F, 6, H, W)``."""
-    reads_text: ClassVar[bool] = False
     pixel_mean: Tensor
     pixel_std: Tensor
 
@@ -58,22 +57,21 @@ class Encoder(nn.Module):
     def load_pretrained(self) -> None:
         """Load the weights that the options name; called when training starts, not when a checkpoint is opened."""
 
-    def cells(self, images: Tensor, texts: list[str] | None) -> Tensor:
+    def cells(self, images: Tensor) -> Tensor:
         """Return features ``(F, h, w, D)`` of images ``(F, 3, H, W)`` in [0, 1]."""
         raise NotImplementedError
 
-    def forward(self, images: Tensor, texts: list[str] | None = None) -> Tensor:
+    def forward(self, images: Tensor) -> Tensor:
         """Return sightings, then what describes them, ``(F, 5 + embedding)``.
 
         Args:
             images: RGB in [0, 1], ``(F, 3, H, W)``; ``(F, 6, H, W)`` with the image before if it ``sees_motion``.
-            texts: F instructions, for encoders that read them.
         """
-        return self.look(images, texts)[0]
+        return self.look(images)[0]
 
-    def look(self, images: Tensor, texts: list[str] | None = None) -> tuple[Tensor, Tensor]:
+    def look(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """Return what `forward` does, and the logarithm of the attention, ``(F, h, w)``."""
-        cells = self.cells(images, texts)
+        cells = self.cells(images)
         ray, there, heat = self.attention(cells)
         read = self.read(torch.cat([there, reduce(cells, "f h w d -> f d", "mean"), ray], dim=-1))
         return self._sighting(images, ray, read, 2 / cells.shape[2]), heat
@@ -106,7 +104,8 @@ class Eye(Encoder):
     def __init__(self, embedding: int = 0, *, channels: int = 32, fovea: int = 20, weights: str = "") -> None:
         super().__init__(channels, embedding, PIXEL_MEAN, PIXEL_STD)
         self.weights, self.fovea = weights, fovea
-        self.patches, self.refine = StandardisedPatches(len(PIXEL_MEAN), channels), conv(channels, channels)
+        self.patches = nn.Conv2d(len(PIXEL_MEAN), channels, kernel_size=4, stride=4)
+        self.refine = conv(channels, channels)
         self.deep = nn.Sequential(conv(channels, 2 * channels, stride=2), conv(2 * channels, 2 * channels))
         self.lateral = nn.Conv2d(2 * channels, channels, kernel_size=1)
         self.merge = conv(channels, channels)
@@ -127,11 +126,14 @@ class Eye(Encoder):
         if self.weights:
             self.load_state_dict(load_file(SHIPPED.get(self.weights, self.weights)))
 
-    def look(self, images: Tensor, texts: list[str] | None = None) -> tuple[Tensor, Tensor]:
+    def look(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """See `Encoder.look`."""
         now, before = images[:, :3], images[:, -3:]
         pixels = torch.cat([now, saturation(now), now - before], dim=1).contiguous(memory_format=torch.channels_last)
-        fine = self.refine(self.patches(pixels, self.pixel_mean, self.pixel_std))  # (F, C, H/4, W/4)
+        weight = self.patches.weight / self.pixel_std  # `standardise` folded into the weights of the first layer
+        shift = reduce(weight * self.pixel_mean, "o i y x -> o", "sum")
+        assert self.patches.bias is not None
+        fine = self.refine(F.conv2d(pixels, weight, self.patches.bias - shift, stride=4))  # (F, C, H/4, W/4)
         deep = self.deep(fine)
         fine = self.merge(fine + F.interpolate(self.lateral(deep), size=fine.shape[-2:]))
         ray, there, heat = self.attention(rearrange(fine, "f c h w -> f h w c"))
@@ -164,43 +166,9 @@ class Conv(Encoder):
             conv(channels, 2 * channels, stride=2),
         )
 
-    def cells(self, images: Tensor, texts: list[str] | None) -> Tensor:
+    def cells(self, images: Tensor) -> Tensor:
         """See `Encoder.cells`; 1/8 resolution."""
         return rearrange(self.net(self.standardise(images)), "f c h w -> f h w c")
-
-
-class ResNet18(Encoder):
-    """ResNet-18 (He et al., 2016) from torchvision, at 1/16 resolution.
-
-    Args:
-        embedding: see `Encoder`.
-        weights: name of torchvision's weights to start from; empty for random ones.
-    """
-
-    def __init__(self, embedding: int = 64, *, weights: str = "IMAGENET1K_V1") -> None:
-        from torchvision.models import ResNet, get_model
-        from torchvision.ops import FrozenBatchNorm2d
-
-        super().__init__(256, embedding, mean=(0.485, 0.456, 0.406), std=(0.229, 0.224, 0.225))
-        self.weights = weights
-        # the statistics of few, correlated frames are unreliable: ImageNet's frozen ones, or normalisation by groups
-        norm = FrozenBatchNorm2d if weights else lambda channels: nn.GroupNorm(channels // 16, channels)
-        self.net = cast(ResNet, get_model("resnet18", weights=None, norm_layer=norm))
-        del self.net.layer4, self.net.fc
-
-    def load_pretrained(self) -> None:
-        """Load torchvision's weights."""
-        from torchvision.models import get_model_weights
-
-        if self.weights:
-            state = get_model_weights("resnet18")[self.weights].get_state_dict(progress=False)
-            self.net.load_state_dict(state, strict=False)
-
-    def cells(self, images: Tensor, texts: list[str] | None) -> Tensor:
-        """See `Encoder.cells`."""
-        net = self.net
-        x = net.maxpool(net.relu(net.bn1(net.conv1(self.standardise(images)))))
-        return rearrange(net.layer3(net.layer2(net.layer1(x))), "f c h w -> f h w c")
 
 
 class TransformersVision(Encoder):
@@ -219,120 +187,32 @@ class TransformersVision(Encoder):
         settings, _ = ImageProcessingMixin.get_image_processor_dict(name)
         config = AutoConfig.from_pretrained(name)
         vision = getattr(config, "vision_config", config)
-        super().__init__(
-            getattr(vision, "hidden_sizes", [vision.hidden_size])[-1],
-            embedding,
-            settings["image_mean"],
-            settings["image_std"],
-        )
+        dim = getattr(vision, "hidden_sizes", [vision.hidden_size])[-1]
+        super().__init__(dim, embedding, settings["image_mean"], settings["image_std"])
         self.name, self.pretrained, self.input_px = name, pretrained, getattr(vision, "image_size", None)
-        self.tower = _vision_part(AutoModel.from_config(config))
+        model = AutoModel.from_config(config)
+        self.tower = getattr(model, "vision_model", model)  # of a model that also reads text, the image side
 
     def load_pretrained(self) -> None:
         """Load the tower's published weights."""
         from transformers import AutoModel
 
         if self.pretrained:
-            self.tower.load_state_dict(_vision_part(AutoModel.from_pretrained(self.name)).state_dict())
+            model = AutoModel.from_pretrained(self.name)
+            self.tower.load_state_dict(getattr(model, "vision_model", model).state_dict())
 
-    def cells(self, images: Tensor, texts: list[str] | None) -> Tensor:
+    def cells(self, images: Tensor) -> Tensor:
         """See `Encoder.cells`; class tokens are left out."""
         if self.input_px:
             images = F.interpolate(images, (self.input_px,) * 2, mode="bilinear", align_corners=False)
         features = self.tower(pixel_values=self.standardise(images)).last_hidden_state
         if features.dim() == 4:
             return rearrange(features, "f d h w -> f h w d")
-        return as_grid(features)
+        side = math.isqrt(features.shape[1])
+        return rearrange(features[:, -(side**2) :], "f (h w) d -> f h w d", h=side)
 
 
-class SmolVLM2(Encoder):
-    """SmolVLM2 (Marafioti et al., 2025): image and instruction are encoded jointly, as in the paper's backbone.
-
-    The cells are the image tokens of the language model's last layer; the last word's token is added to each, so that
-    the instruction decides where to look.
-
-    Args:
-        embedding: see `Encoder`.
-        name: Hub name or folder; its config and tokenizer are needed whenever the policy is opened, its weights only
-            when training starts.
-        pretrained: whether training starts from its weights.
-        n_layers: layers of the language model that are kept; early layers serve control best (SmolVLA).
-        max_text_tokens: length at which instructions are truncated.
-    """
-
-    reads_text = True
-
-    def __init__(
-        self,
-        embedding: int = 64,
-        *,
-        name: str = "HuggingFaceTB/SmolVLM2-500M-Video-Instruct",
-        pretrained: bool = True,
-        n_layers: int = 16,
-        max_text_tokens: int = 48,
-    ) -> None:
-        from transformers import AutoConfig, AutoTokenizer, SmolVLMModel
-
-        config: Any = AutoConfig.from_pretrained(name)
-        config.text_config.num_hidden_layers = min(n_layers, config.text_config.num_hidden_layers)
-        super().__init__(config.text_config.hidden_size, embedding, mean=(0.5, 0.5, 0.5), std=(0.5, 0.5, 0.5))
-        self.name, self.pretrained, self.max_text_tokens = name, pretrained, max_text_tokens
-        self.input_px = config.vision_config.image_size
-        self.vlm, self.tokenizer = SmolVLMModel(config), AutoTokenizer.from_pretrained(name)
-
-    def load_pretrained(self) -> None:
-        """Load the published weights of the layers that are kept."""
-        from transformers import SmolVLMModel
-
-        if self.pretrained:
-            full = SmolVLMModel.from_pretrained(self.name, dtype=torch.float32).state_dict()
-            own = self.vlm.state_dict().keys()
-            self.vlm.load_state_dict({key: value for key, value in full.items() if key in own})
-
-    def cells(self, images: Tensor, texts: list[str] | None) -> Tensor:
-        """See `Encoder.cells`."""
-        images = F.interpolate(images, (self.input_px,) * 2, mode="bilinear", align_corners=False)
-        features = self.vlm.vision_model(pixel_values=self.standardise(images)).last_hidden_state
-        image_tokens = self.vlm.connector(features)  # (F, P, C)
-        ids, lengths = self._tokenize(texts or [""] * len(images))
-        words = self.vlm.text_model.embed_tokens(ids.to(images.device))
-        hidden = self.vlm.text_model(
-            inputs_embeds=torch.cat([image_tokens, words], dim=1), use_cache=False
-        ).last_hidden_state  # (F, P + L, C)
-        # attention is causal: the last word sees the image and all words, and nothing attends to the padding after it
-        n_patches = image_tokens.shape[1]
-        text = hidden[torch.arange(len(ids)), n_patches + lengths - 1]
-        return as_grid(hidden[:, :n_patches] + text[:, None])
-
-    def _tokenize(self, texts: list[str]) -> tuple[Tensor, Tensor]:
-        """Return token ids, padded at the end, ``(F, L)``, and how many of them are words, ``(F,)``."""
-        limits = {"truncation": True, "max_length": self.max_text_tokens}
-        known = {text: torch.tensor(self.tokenizer(text or " ", **limits).input_ids) for text in set(texts)}
-        rows = [known[text] for text in texts]
-        return nn.utils.rnn.pad_sequence(rows, batch_first=True), torch.tensor([len(row) for row in rows])
-
-
-ENCODERS: dict[str, type[Encoder]] = {
-    "eye": Eye, "conv": Conv, "resnet18": ResNet18, "transformers": TransformersVision, "smolvlm2": SmolVLM2,
-}  # fmt: skip
-
-
-class StandardisedPatches(nn.Conv2d):
-    """Patch embedding: a 4 x 4 convolution of stride 4, with the standardisation of the pixels folded into its weights.
-
-    Args:
-        n_in: input channels.
-        n_out: output channels.
-    """
-
-    def __init__(self, n_in: int, n_out: int) -> None:
-        super().__init__(n_in, n_out, kernel_size=4, stride=4)
-
-    def forward(self, images: Tensor, mean: Tensor, std: Tensor) -> Tensor:
-        """Convolve ``(images - mean) / std``, of shapes ``(F, C, H, W)`` and ``(C, 1, 1)``."""
-        weight = self.weight / std  # (C', C, 4, 4)
-        shift = reduce(weight * mean, "o i y x -> o", "sum")
-        return F.conv2d(images, weight, -shift if self.bias is None else self.bias - shift, self.stride)
+ENCODERS: dict[str, type[Encoder]] = {"eye": Eye, "conv": Conv, "transformers": TransformersVision}
 
 
 def saturation(images: Tensor) -> Tensor:
@@ -347,14 +227,3 @@ def conv(n_in: int, n_out: int, stride: int = 1) -> nn.Sequential:
         nn.GroupNorm(n_out // 8, n_out),
         nn.SiLU(inplace=True),
     )
-
-
-def as_grid(tokens: Tensor) -> Tensor:
-    """Return patch tokens as a square grid, ``(F, P + n * n, D) -> (F, n, n, D)``, without the P tokens before them."""
-    side = math.isqrt(tokens.shape[1])
-    return rearrange(tokens[:, tokens.shape[1] - side**2 :], "f (h w) d -> f h w d", h=side)
-
-
-def _vision_part(model: nn.Module) -> nn.Module:
-    """Return the image side of a model that also reads text, or the model."""
-    return getattr(model, "vision_model", model)

@@ -30,7 +30,7 @@ from lerobot.policies.common.flow_matching import euler_integrate
 from safetensors import safe_open
 from torch import Tensor, nn
 
-from .heads import Guidance
+from .heads import Guidance, frame_noise
 
 BETA_ALPHA, TIME_SCALE, N_TIME_BUCKETS = 1.5, 0.999, 1000
 CHECKPOINT_PREFIX = "action_head."
@@ -57,6 +57,7 @@ class Gr00tHead(nn.Module):
         max_state_dim, max_action_dim: sizes to which states and actions are padded.
         dropout: dropout probability.
         n_steps: Euler steps of a chunk.
+        noise_seed: of the noise that `sample` starts from.
     """
 
     generative = True
@@ -81,12 +82,13 @@ class Gr00tHead(nn.Module):
         max_action_dim: int = 32,
         dropout: float = 0.2,
         n_steps: int = 4,
+        noise_seed: int = 0,
     ) -> None:
         from lerobot.policies.groot.action_head.cross_attention_dit import DiT, SelfAttentionTransformer
         from lerobot.policies.groot.groot_n1_7 import CategorySpecificMLP, MultiEmbodimentActionEncoder
 
         super().__init__()
-        self.horizon, self.action_dim, self.n_steps = horizon, sum(groups), n_steps
+        self.horizon, self.action_dim, self.n_steps, self.noise_seed = horizon, sum(groups), n_steps, noise_seed
         if self.action_dim > max_action_dim:
             raise ValueError(
                 f"the action has {self.action_dim} entries, but the gr00t head takes at most {max_action_dim}."
@@ -130,20 +132,25 @@ class Gr00tHead(nn.Module):
         error = self.velocity(torch.lerp(noise, target, t[:, None, None]), t, self.memory(context)) - (target - noise)
         return (error.square()[..., : self.action_dim].mean(-1) * weight).mean(-1)
 
-    def noise(self, context: Tensor) -> Tensor:
-        """Draw the noise that `sample` starts from, of the padded action."""
-        return torch.randn(len(context), self.horizon, self.max_action_dim, device=context.device)
+    @property
+    def noise_shape(self) -> tuple[int, int]:
+        """Shape of the noise that a chunk starts from."""
+        return self.horizon, self.max_action_dim
 
-    def sample(self, context: Tensor, noise: Tensor | None = None, guidance: Guidance | None = None) -> Tensor:
+    def sample(self, context: Tensor, frame: int, guidance: Guidance | None = None) -> Tensor:
         """See `ActionHead.sample`."""
+        start = frame_noise(self.noise_seed, frame, (1, *self.noise_shape), context)
+        return self.denoise(context, start.expand(len(context), -1, -1), self.n_steps, guidance)
+
+    def denoise(self, context: Tensor, start: Tensor, n_steps: int, guidance: Guidance | None = None) -> Tensor:
+        """See `ActionHead.denoise`; ``start`` is noise of the padded action."""
         memory = self.memory(context)
 
         def towards_noise(x: Tensor, time: Tensor) -> Tensor:
             return -self.velocity(x, 1 - time, memory)
 
-        start = self.noise(context) if noise is None else noise
         options = {} if guidance is None else guidance.options(self._padded(guidance.leftover))
-        return euler_integrate(towards_noise, start, self.n_steps, **options)[..., : self.action_dim]
+        return euler_integrate(towards_noise, start, n_steps, **options)[..., : self.action_dim]
 
     def memory(self, context: Tensor) -> Tensor:
         """Return the vision-language token that the transformer attends to, ``(R, 1, C)``."""

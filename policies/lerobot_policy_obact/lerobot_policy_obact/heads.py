@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
 import torch
 from einops import rearrange, repeat
 from lerobot.policies.common.flow_matching import euler_integrate
@@ -38,6 +39,15 @@ def perceptron(*widths: int) -> nn.Sequential:
     for n_in, n_out in pairwise(widths):
         layers += [nn.Linear(n_in, n_out), nn.SiLU()]
     return nn.Sequential(*layers[:-1])
+
+
+def frame_noise(seed: int, frame: int, shape: tuple[int, ...], like: Tensor) -> Tensor:
+    """Return normal noise that is a function of a seed and a frame's number alone, in the type of ``like``.
+
+    So what a policy does follows from what it sees: batch size, order, interruption and machine change nothing.
+    """
+    drawn = np.random.default_rng((seed, frame)).standard_normal(shape, dtype=np.float32)
+    return torch.from_numpy(drawn).to(like)
 
 
 @dataclass(frozen=True)
@@ -89,16 +99,17 @@ class Denoiser(nn.Module):
         nn.init.zeros_(self.out.bias)
 
     def forward(self, chunk: Tensor, t: Tensor, context: Tensor) -> Tensor:
-        """Map noisy chunks ``(R, size)`` at times ``(R,)`` in contexts ``(R, C)`` to predictions ``(R, size)``."""
+        """Map noisy chunks ``(R, H, A)`` at times ``(R,)`` in contexts ``(R, C)`` to predictions of that shape."""
         phase = t[:, None] * torch.pi * 2.0 ** torch.arange(-1, 7, device=t.device)
-        x = self.chunk(chunk) + self.time(torch.cat([phase.sin(), phase.cos()], dim=-1)) + self.context(context)
+        time = self.time(torch.cat([phase.sin(), phase.cos()], dim=-1))
+        x = self.chunk(chunk.flatten(1)) + time + self.context(context)
         for block in self.blocks:
             x = x + block(x)
-        return self.out(x)
+        return self.out(x).view_as(chunk)
 
 
 class ActionHead(nn.Module):
-    """Regression of a chunk with the scale of its error; subclasses denoise what is left.
+    """Regression of a chunk with the scale of its error; subclasses denoise what that leaves.
 
     Args:
         context: numbers of a context.
@@ -106,8 +117,9 @@ class ActionHead(nn.Module):
         groups: sizes of the groups of an action's entries that are scaled together (palm, fingers), of sum A.
         width: of the denoiser.
         n_steps: sampling steps.
-        n_draws: chunks sampled for a decision, of which `most_central` makes one.
+        n_draws: chunks sampled for a decision; the palm follows their median.
         closing_quantile: of the draws, for the fingers: above 0.5 they rather close too early than too late.
+        noise_seed: of the noise that `sample` starts from.
     """
 
     generative = False
@@ -122,10 +134,11 @@ class ActionHead(nn.Module):
         n_steps: int = 8,
         n_draws: int = 32,
         closing_quantile: float = 0.5,
+        noise_seed: int = 0,
     ) -> None:
         super().__init__()
         self.horizon, self.groups, self.n_steps, self.action_dim = horizon, groups, n_steps, sum(groups)
-        self.n_draws, self.closing_quantile = n_draws, closing_quantile
+        self.n_draws, self.closing_quantile, self.noise_seed = n_draws, closing_quantile, noise_seed
         self.base = nn.Linear(context, horizon * (self.action_dim + len(groups)))
         self.denoiser = Denoiser(horizon * self.action_dim, context, width) if self.generative else None
 
@@ -137,10 +150,6 @@ class ActionHead(nn.Module):
         out = rearrange(self.base(context), "r (h a) -> r h a", h=self.horizon)
         mean, log_scale = out.split([self.action_dim, len(self.groups)], dim=-1)
         return mean, log_scale.clamp(MIN_LOG_SCALE, MAX_LOG_SCALE)
-
-    def unit(self, log_scale: Tensor) -> Tensor:
-        """Return the scale of every entry, ``(R, H, G) -> (R, H, A)``."""
-        return log_scale.exp().repeat_interleave(torch.tensor(self.groups, device=log_scale.device), dim=-1)
 
     def loss(self, context: Tensor, actions: Tensor, weight: Tensor) -> Tensor:
         """Return the loss of each row, ``(R,)``.
@@ -157,68 +166,72 @@ class ActionHead(nn.Module):
         likelihood = (likelihood * (BETA * log_scale).exp().detach()).mean(-1)  # (R, H)
         loss = (likelihood * weight).mean(-1)
         if self.denoiser is not None:
-            unit = self.unit(log_scale).detach()
+            unit = self._unit(log_scale).detach()
             deviation = ((actions - mean.detach()) / unit).clamp(-LARGEST_DEVIATION, LARGEST_DEVIATION)
-            loss = loss + self.denoising_loss(self.denoiser, context, deviation, weight)
+            loss = loss + self._denoising_loss(self.denoiser, context, deviation, weight)
         return loss
 
-    def denoising_loss(self, denoiser: Denoiser, context: Tensor, deviation: Tensor, weight: Tensor) -> Tensor:
+    def _unit(self, log_scale: Tensor) -> Tensor:
+        """Return the scale of every entry, ``(R, H, G) -> (R, H, A)``."""
+        return log_scale.exp().repeat_interleave(torch.tensor(self.groups, device=log_scale.device), dim=-1)
+
+    def _denoising_loss(self, denoiser: Denoiser, context: Tensor, deviation: Tensor, weight: Tensor) -> Tensor:
         """Return the loss of each row, ``(R,)``, of denoising deviations ``(R, H, A)``."""
         target = repeat(deviation, "r h a -> (r n) h a", n=DRAWS)
         t = torch.rand(len(target), device=target.device)
         t = torch.where(torch.rand_like(t) < PURE_NOISE_SHARE, 0.0, t)
-        error = self.denoising_error(
-            denoiser, target, torch.randn_like(target), t, repeat(context, "r c -> (r n) c", n=DRAWS)
-        )
+        context = repeat(context, "r c -> (r n) c", n=DRAWS)
+        error = self.denoising_error(denoiser, target, torch.randn_like(target), t, context)
         return (rearrange(error.square().mean(-1), "(r n) h -> r n h", n=DRAWS) * weight[:, None]).mean((1, 2))
 
     def denoising_error(self, denoiser: Denoiser, target: Tensor, noise: Tensor, t: Tensor, context: Tensor) -> Tensor:
-        """Return what the denoiser's prediction is off by, ``(R, H, A)``."""
+        """Return by how much the prediction for a mixture of target and noise is off, ``(R, H, A)``."""
         raise NotImplementedError
 
     def velocity(self, denoiser: Denoiser, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
         """Return the velocity of the linear path at ``x`` ``(R, H, A)`` and ``t`` ``(R,)``, towards the data."""
         raise NotImplementedError
 
-    def noise(self, context: Tensor) -> Tensor:
-        """Draw the noise that `sample` starts from."""
-        return torch.randn(len(context), self.horizon, self.action_dim, device=context.device)
+    @property
+    def noise_shape(self) -> tuple[int, int]:
+        """Shape of the noise that a chunk starts from, ``(H, A)``."""
+        return self.horizon, self.action_dim
 
-    def sample(self, context: Tensor, noise: Tensor | None = None, guidance: Guidance | None = None) -> Tensor:
+    def sample(self, context: Tensor, frame: int, guidance: Guidance | None = None) -> Tensor:
         """Sample a chunk for every context, ``(R, C) -> (R, H, A)``.
+
+        ``n_draws`` chunks start from the noise of the frame, and a quantile of every entry makes one of them.
 
         Args:
             context: see `loss`.
-            noise: start of the sampling, ``(R, H, A)``; if None, ``n_draws`` chunks start from fresh noise.
+            frame: number of the decision's frame in its episode.
             guidance: towards the previous chunk; a single chunk is sampled then.
         """
         if self.denoiser is None:
             return self.regress(context)[0]
-        if noise is not None or guidance is not None or self.n_draws == 1:
-            return self._denoised(self.denoiser, context, noise, guidance)
-        draws = self._denoised(self.denoiser, repeat(context, "r c -> (r n) c", n=self.n_draws))
-        draws = rearrange(draws, "(r n) h a -> r n h a", n=self.n_draws)
-        return most_central(draws, self.groups[0], self.closing_quantile)
+        n = 1 if guidance is not None else self.n_draws
+        noise = frame_noise(self.noise_seed, frame, (n, *self.noise_shape), context)
+        start = repeat(noise, "n h a -> (r n) h a", r=len(context))
+        draws = self.denoise(repeat(context, "r c -> (r n) c", n=n), start, self.n_steps, guidance)
+        draws = rearrange(draws, "(r n) h a -> n r h a", n=n).sort(dim=0).values
+        palm, rest = draws.split([self.groups[0], self.action_dim - self.groups[0]], dim=-1)
+        return torch.cat([palm[n // 2], rest[int(n * self.closing_quantile)]], dim=-1)
 
-    def _denoised(
-        self, denoiser: Denoiser, context: Tensor, noise: Tensor | None = None, guidance: Guidance | None = None
-    ) -> Tensor:
+    def denoise(self, context: Tensor, start: Tensor, n_steps: int, guidance: Guidance | None = None) -> Tensor:
+        """Return the chunks ``(R, H, A)`` that noise ``start`` ``(R, H, A)`` becomes in contexts ``(R, C)``."""
         mean, log_scale = self.regress(context)
-        unit = self.unit(log_scale)
+        if (denoiser := self.denoiser) is None:
+            return mean
+        unit = self._unit(log_scale)
 
         def towards_noise(x: Tensor, time: Tensor) -> Tensor:  # LeRobot's loop runs from time 1, noise, to 0, data
             return -self.velocity(denoiser, x, 1 - time, context)
 
-        start = self.noise(context) if noise is None else noise
         options = {}
         if guidance is not None:
             n = guidance.leftover.shape[1]
             options = guidance.options((guidance.leftover - mean[:, :n]) / unit[:, :n])
-        return mean + unit * euler_integrate(towards_noise, start, self.n_steps, **options)
-
-
-class RegressionHead(ActionHead):
-    """The mean: the same actions for the same context."""
+        return mean + unit * euler_integrate(towards_noise, start, n_steps, **options)
 
 
 class DiffusionHead(ActionHead):
@@ -229,14 +242,13 @@ class DiffusionHead(ActionHead):
     def denoising_error(self, denoiser: Denoiser, target: Tensor, noise: Tensor, t: Tensor, context: Tensor) -> Tensor:
         """See `ActionHead.denoising_error`."""
         signal, spread = _mixing(t)
-        return _predict(denoiser, signal * target + spread * noise, t, context) - target
+        return denoiser(signal * target + spread * noise, t, context) - target
 
     def velocity(self, denoiser: Denoiser, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
-        """See `ActionHead.velocity`; ``t`` is the share of the signal, from which the diffusion's own time follows."""
-        own = 2 / torch.pi * torch.atan2(t, 1 - t)
+        """See `ActionHead.velocity`."""
+        own = 2 / torch.pi * torch.atan2(t, 1 - t)  # its own time, at which the signal's share is t
         signal, spread = _mixing(own)
-        data = _predict(denoiser, x * (signal + spread), own, context)
-        return (data - x) / (1 - t)[:, None, None]
+        return (denoiser(x * (signal + spread), own, context) - x) / (1 - t)[:, None, None]
 
 
 class FlowHead(ActionHead):
@@ -246,40 +258,14 @@ class FlowHead(ActionHead):
 
     def denoising_error(self, denoiser: Denoiser, target: Tensor, noise: Tensor, t: Tensor, context: Tensor) -> Tensor:
         """See `ActionHead.denoising_error`."""
-        x = torch.lerp(noise, target, t[:, None, None])
-        return _predict(denoiser, x, t, context) - (target - noise)
+        return denoiser(torch.lerp(noise, target, t[:, None, None]), t, context) - (target - noise)
 
     def velocity(self, denoiser: Denoiser, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
         """See `ActionHead.velocity`."""
-        return _predict(denoiser, x, t, context)
-
-
-def most_central(draws: Tensor, size: int, quantile: float = 0.5) -> Tensor:
-    """Return the chunk nearest to the others in the first ``size`` entries, with a quantile of every other entry.
-
-    The palm follows one of the draws, since an average may lie between two modes. The quantile, the median by default,
-    removes noise from the fingers, which would loosen the grasp.
-
-    Args:
-        draws: chunks, ``(R, N, H, A)``.
-        size: of the group of entries that decides.
-        quantile: 0 to 1.
-
-    Returns:
-        ``(R, H, A)``.
-    """
-    first, rest = draws.split([size, draws.shape[-1] - size], dim=-1)
-    flat = first.flatten(2)
-    chosen = torch.cdist(flat, flat).sum(-1).argmin(-1)
-    middle = rest.sort(dim=1).values[:, int(draws.shape[1] * quantile)]
-    return torch.cat([first[torch.arange(len(draws), device=draws.device), chosen], middle], dim=-1)
+        return denoiser(x, t, context)
 
 
 def _mixing(t: Tensor) -> tuple[Tensor, Tensor]:
     """Return how much of signal and noise is mixed at times ``(R,)``, ``(R, 1, 1)`` each."""
     angle = (t * torch.pi / 2)[:, None, None]
     return angle.sin(), angle.cos()
-
-
-def _predict(denoiser: Denoiser, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
-    return denoiser(rearrange(x, "r h a -> r (h a)"), t, context).view_as(x)

@@ -1,17 +1,17 @@
 """ObAct: encoder -> attention in space -> attention in time -> forecast -> generative action head.
 
-One observation to one action, in the order of this file: `ObActPolicy.select_action` notes a frame and asks for a chunk
-when the last one is used up; `ObActModel.sight` encodes the images (`encoders.py`, whose attention over cells finds the
-target); `ObActModel.believe` lets a decision attend to the frames before it and forecasts the target (`belief.py`);
-`ObActModel.context` picks from that where to meet it; the head samples actions relative to that place (`heads.py`).
-`ObActPolicy.forward` is the only loss.
+One observation to one action, in the order of this file: `ObActPolicy.select_action` asks for a chunk when the last one
+is used up; `ObActModel.encode_images` finds the target in the newest images (`encoders.py`, whose attention over cells
+looks for it); `ObActModel.encode_history` lets a decision attend to the frames before it and forecasts the target
+(`belief.py`); `ObActModel.condition` picks from that where to meet it; the head samples actions relative to that place
+(`heads.py`). `ObActPolicy.forward` is the only loss.
 """
 
 from __future__ import annotations
 
 import time
 from collections import deque
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self, cast
 
@@ -19,18 +19,20 @@ import torch
 from einops import einsum, rearrange, repeat
 from lerobot.policies.pretrained import PreTrainedPolicy
 from lerobot.policies.rtc import RTCProcessor
-from lerobot.utils.constants import ACTION
+from lerobot.utils.constants import ACTION, OBS_STATE
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from .belief import FAR, FORECAST_FRAMES, Belief
+from .attention import Memory
+from .belief import FAR, FORECAST_FRAMES, Belief, Outlook
 from .camera import Pinhole
 from .configuration_obact import HEADS, ObActConfig
-from .decisions import Decisions, Frames, observed
 from .encoders import ENCODERS, N_SIGHTING, Encoder
+from .frames import Frames, History, Record, palm_of, stepped
 from .heads import Guidance, perceptron
 
 if TYPE_CHECKING:
+    from .decisions import Decisions, Episodes
     from .recordings import Recordings
     from .virtual_episodes import VirtualEpisodes
 
@@ -45,7 +47,7 @@ class ObActModel(nn.Module):
     """The network.
 
     Args:
-        config: its features filled in, and what comes from the dataset.
+        config: its features and its rig filled in.
     """
 
     action_mean: Tensor
@@ -65,23 +67,20 @@ class ObActModel(nn.Module):
             n_layers=config.n_layers,
             n_heads=config.n_heads,
             n_points=config.n_points,
-            fps=config.fps,
+            fps=config.rig.fps,
         )
         self.features = nn.Linear(config.dim, N_FEATURES)
-        n_state, n_actions = config.n_state, config.n_actions
-        n_inputs = 4 * len(FORECAST_FRAMES) if config.forecasts else n_state
-        if config.grips:
-            n_inputs += config.n_joints
+        n_inputs = 4 * len(FORECAST_FRAMES) + config.n_joints if config.forecasts else config.n_state
         self.trunk = nn.Sequential(perceptron(n_inputs + N_FEATURES, config.width, config.width), nn.SiLU())
         if config.forecasts:
             n_places, n_axes = (2, 3) if config.grips else (1, 1)
             self.when = nn.Linear(config.width, config.horizon * n_axes * n_places * len(FORECAST_FRAMES))
-        groups = [size for size in (config.relative_dims, n_actions - config.relative_dims) if size]
-        self.head = HEADS[config.head](config.width, config.horizon, groups, **config.head_options)
-        self.register_buffer("action_mean", torch.zeros(n_actions))
-        self.register_buffer("action_std", torch.ones(n_actions))
-        self.register_buffer("state_mean", torch.zeros(n_state))
-        self.register_buffer("state_std", torch.ones(n_state))
+        groups = [size for size in (config.relative_dims, config.n_actions - config.relative_dims) if size]
+        options = {"noise_seed": config.noise_seed} | config.head_options
+        self.head = HEADS[config.head](config.width, config.horizon, groups, **options)
+        for name, size in (("action", config.n_actions), ("state", config.n_state)):
+            self.register_buffer(f"{name}_mean", torch.zeros(size))
+            self.register_buffer(f"{name}_std", torch.ones(size))
 
     def adopt_stats(self, stats: dict[str, dict[str, Any]]) -> None:
         """Take over LeRobot's statistics of the dataset; actions relative to the palm have mean 0."""
@@ -106,28 +105,39 @@ class ObActModel(nn.Module):
         """Whether the encoders take each image together with the one before."""
         return ENCODERS[self.config.encoder].sees_motion
 
-    def sight(self, images: dict[str, Tensor], texts: list[str] | None = None) -> Tensor:
+    @property
+    def n_sighting(self) -> int:
+        """Numbers that an encoder says of an image."""
+        return N_SIGHTING + cast(Encoder, self.encoders[0]).embedding
+
+    def encode_images(self, images: dict[str, Tensor]) -> Tensor:
         """Return what each camera saw, ``(F, C, 5 + E)``; images are ``(F, 3 or 6, H, W)`` in [0, 1]."""
-        seen = [encoder(images[key], texts) for encoder, key in zip(self.encoders, self.config.cameras, strict=True)]
+        seen = [encoder(images[key]) for encoder, key in zip(self.encoders, self.config.cameras, strict=True)]
         return torch.stack(seen, dim=1)
 
-    def believe(self, frames: Frames, rows: Tensor) -> tuple[Tensor, Tensor]:
-        """Return features ``(B, Q, D)`` and forecasts ``(B, Q, K, 3)`` [m] of decisions at frames ``rows`` ``(B, Q)``.
+    def encode_history(self, frames: Frames, rows: Tensor, memory: Memory | None = None) -> Outlook:
+        """Return what decisions at frames ``rows`` ``(B, Q)`` believe.
 
-        A decision sees ``n_obs_frames`` frames before its own, and so do those frames: if there are more, each decision
-        is given a window of its own.
+        A decision sees ``n_obs_frames`` frames before its own, and so do those frames: each decision is then given a
+        window of its own.
+
+        Args:
+            frames: observed ones.
+            rows: which of those.
+            memory: of frames before these, if they come a few at a time and a decision sees all.
         """
         n, q = rows.shape
-        reach = self.config.n_obs_frames * self.config.obs_stride
-        if self.config.obs_stride > 1 or len(frames.time_s) > reach + 1:
-            offsets = torch.tensor(self.config.lookback, device=rows.device)
-            frames = frames.windows(rows[..., None] + offsets, offsets / self.config.fps)
-            rows = rows.new_full((n * q, 1), len(offsets) - 1)
-        palm, extra = frames.palm, frames.sightings[..., N_SIGHTING:].flatten(2)
-        features, forecast = self.belief(frames.sightings[..., :N_SIGHTING], palm, extra, frames.time_s, rows)
-        return features.reshape(n, q, -1), forecast.reshape(n, q, len(FORECAST_FRAMES), 3)
+        if windowed := self.config.n_obs_frames is not None:
+            ages_s = torch.tensor(self.config.ages_s, device=rows.device)
+            frames = frames.windows(rows, ages_s)
+            rows = rows.new_full((n * q, 1), len(ages_s) - 1)
+        extra = frames.sightings[..., N_SIGHTING:].flatten(2)
+        outlook = self.belief(
+            frames.sightings[..., :N_SIGHTING], frames.palm, extra, frames.time_s, rows, memory=memory
+        )
+        return outlook.unflattened(n) if windowed else outlook
 
-    def context(self, features: Tensor, forecast: Tensor, palm: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+    def condition(self, outlook: Outlook, palm: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """Return what the head reads, ``(R, C)``, and the places from which its actions count [m], ``(R, H, 3)``.
 
         Those are places of the forecast: attention over its times, whose values are positions, picks the one at which
@@ -135,27 +145,32 @@ class ObActModel(nn.Module):
         that moves along with the target. Without a forecast they are where the palm is.
 
         Args:
-            features: of the belief, ``(R, D)``.
-            forecast: of the target [m], ``(R, K, 3)``.
+            outlook: of R decisions, ``(R, ...)``.
             palm: where the palm will be when a command takes effect [m], ``(R, 3)``.
             state: of the robot, ``(R, S)``; the head reads it only if nothing is forecast.
         """
-        told = nn.functional.silu(self.features(features))
+        features, forecast = nn.functional.silu(self.features(outlook.features)), outlook.forecast
         state = (state - self.state_mean) / self.state_std
         if not self.config.forecasts:
-            context = self.trunk(torch.cat([state, told], dim=-1))
+            context = self.trunk(torch.cat([state, features], dim=-1))
             return context, repeat(palm, "r i -> r h i", h=self.config.horizon)
         unit = 0.1 + 0.3 * self.belief.ahead_s
         offset = (forecast - palm[:, None]) / unit[:, None]  # (R, K, 3)
         distance = offset.norm(dim=-1).clamp_max(FAR)
         joints = state[:, self.config.relative_dims :][:, : self.config.n_joints]
-        context = self.trunk(torch.cat([offset.clamp(-FAR, FAR).flatten(1), distance, told, joints], dim=-1))
+        context = self.trunk(torch.cat([offset.clamp(-FAR, FAR).flatten(1), distance, features, joints], dim=-1))
         if not self.config.grips:
             when = rearrange(self.when(context), "r (h k) -> r h k", h=self.config.horizon).softmax(-1)
             return context, when @ forecast
         along = palm[:, None] + forecast - forecast[:, :1]
         when = rearrange(self.when(context), "r (h i k) -> r h i k", h=self.config.horizon, i=3).softmax(-1)
         return context, einsum(when, torch.cat([forecast, along], dim=1), "r h i k, r k i -> r h i")
+
+    def act_once(self, outlook: Outlook, palm: Tensor, state: Tensor) -> Tensor:
+        """Return actions ``(R, A)`` sampled in one step from fresh noise, for training; see `condition`."""
+        context, origin = self.condition(outlook, palm, state)
+        start = torch.randn(len(context), *self.head.noise_shape, device=context.device)
+        return self.unnormalise(self.head.denoise(context, start, 1), origin)[:, 0]
 
     def normalise(self, actions: Tensor, origin: Tensor) -> Tensor:
         """Map actions ``(R, H, A)`` to what the head predicts; they count from ``origin`` ``(R, H, 3)``."""
@@ -172,10 +187,31 @@ class ObActModel(nn.Module):
 
 def camera_of(config: ObActConfig, key: str) -> Pinhole:
     """Return the calibrated camera of an image key, or one that sees rays of unit depth from the origin."""
-    known = config.calibration.get(key)
+    known = config.rig.calibration.get(key)
     if known is None:
         return Pinhole.from_pose([0, 0, 0, 1, 0, 0, 0], 1.0, carried=False)
     return Pinhole.from_pose(known[:7], known[7], carried=bool(known[8]))
+
+
+@dataclass(frozen=True)
+class Thought(Record):
+    """What the newest decision of B environments saw and expects, for whoever draws it.
+
+    Attributes:
+        sightings: in the newest images, by camera, ``(B, C, 5 + E)``, see `Frames`.
+        sighted: where that is [m], ``(B, C, 3)``.
+        forecast: of the target [m], ``(B, K, 3)``.
+        ahead_s: when it is expected there, from now [s], ``(K,)``.
+        meeting: where the palm is to meet it [m], ``(B, 3)``.
+        weights: of the S frames observed so far, oldest first, in J readouts, ``(B, J, S)``; None without readouts.
+    """
+
+    sightings: Tensor
+    sighted: Tensor
+    forecast: Tensor
+    ahead_s: Tensor
+    meeting: Tensor
+    weights: Tensor | None = None
 
 
 class ObActPolicy(PreTrainedPolicy):
@@ -187,6 +223,9 @@ class ObActPolicy(PreTrainedPolicy):
         dataset_meta: LeRobot metadata of the training data.
         load_pretrained: whether encoders and head start from published weights, where they name any.
         **kwargs: what else LeRobot may pass, unused.
+
+    Attributes:
+        thought: the newest decision; None before the first.
 
     Raises:
         ValueError: if the config and the dataset do not fit, naming the option or feature.
@@ -210,7 +249,10 @@ class ObActPolicy(PreTrainedPolicy):
         if dataset_meta is not None:
             from .recordings import describe
 
-            describe(dataset_meta, config)
+            config.rig = describe(dataset_meta, config.cameras)
+            if config.forecasts and config.input_features:  # it reads no other vectors, which a robot may not have
+                read = {*config.cameras, OBS_STATE}
+                config.input_features = {key: x for key, x in config.input_features.items() if key in read}
         self.model = ObActModel(config)
         if load_pretrained:
             self.model.load_pretrained()
@@ -228,60 +270,60 @@ class ObActPolicy(PreTrainedPolicy):
     def forward(self, batch: Batch, reduction: str = "mean") -> tuple[Tensor, dict[str, float]]:
         """Return the loss of a preprocessed batch, and what to log.
 
-        With ``encode_once`` a sample stands for its episode: ``n_decisions`` decisions in it, each from the palm that
-        was recorded and, where the target's path is known, from virtual ones. Else it is one decision of a window of
-        images.
+        With a frozen encoder a sample stands for ``episodes_per_sample`` episodes: for decisions in them, and, where
+        the target's path is known, for a palm that is rolled out. Else it is one decision of a window of images.
 
         Args:
             batch: LeRobot batch with the frames of ``observation_delta_indices`` and the actions of
                 ``action_delta_indices``.
             reduction: "mean" for a scalar, "none" for one loss per sample, ``(B,)``.
         """
-        model = self.model if self.training else self.acting
-        decisions = self._recorded(batch) if self.config.encode_once else self._observed(model, batch)
-        n = len(batch["episode_index"] if self.config.encode_once else batch[ACTION])
-        losses = {k: rearrange(v, "(b e) -> b e", b=n).mean(1) for k, v in decision_losses(model, decisions).items()}
-        config = self.config
-        total = config.action_weight * losses["action"] + config.forecast_weight * losses.get("forecast", 0.0)
-        logged = {name: value.mean().item() for name, value in losses.items()}
-        return (total if reduction == "none" else total.mean()), logged
+        model, config = self.model if self.training else self.acting, self.config
+        losses = self._losses_of_episodes(model, batch) if config.freeze_encoder else _losses_of_windows(model, batch)
+        weights = {"action": config.action_weight, "forecast": config.forecast_weight, "missed": config.action_weight}
+        weights["closed_loop"] = config.closed_loop_weight
+        total = torch.stack([weights[name] * loss for name, loss in losses.items()]).sum(0)
+        logged = {name: loss.mean().item() for name, loss in losses.items()}
+        if reduction == "none":
+            return rearrange(total, "(b e) -> b e", b=len(batch[ACTION])).mean(1), logged
+        return total.mean(), logged
 
-    def _recorded(self, batch: Batch) -> Decisions:
-        """Return decisions in the episodes that the batch names; the first call encodes the dataset."""
+    def _losses_of_episodes(self, model: ObActModel, batch: Batch) -> dict[str, Tensor]:
+        """Return the losses by episode, ``(B,)`` each; the first call encodes the dataset."""
+        from .closed_loop import closed_loop_loss, rolled_rows
+
+        config, device = self.config, model.device
+        episodes = self._episodes(batch["episode_index"].flatten().cpu())
+        assert self.recordings is not None
+        rows = episodes.decision_rows(config.n_decisions, config.rig.delay_frames)
+        decisions = episodes.decisions(rows, self.recordings.teacher, config)
+        closes = config.forecasts and not config.grips and config.closed_loop_weight > 0
+        rolled = rolled_rows(episodes, config.rig.delay_frames) if closes else rows[:, :0]
+        seen = torch.cat([rows, rolled], dim=1)
+        outlook = model.encode_history(episodes.frames(seen).to(device), seen.to(device))
+        n = config.n_decisions
+        losses = decision_losses(model, outlook.at(slice(n)), decisions.to(device))
+        if closes:
+            radius_m, rolled_outlook = config.rig.radius_m, outlook.at(slice(n, None))
+            losses["closed_loop"] = closed_loop_loss(model, rolled_outlook, episodes, rolled, radius_m)
+        return losses
+
+    def _episodes(self, named: Tensor) -> Episodes:
+        """Return the episodes that a batch names, or, in training, as many times others of those known so far."""
         from .recordings import Recordings
         from .virtual_episodes import VirtualEpisodes
 
         if self.recordings is None:
             self.recordings = Recordings.encoded(self._meta, self.config, self.acting)
             if self.recordings.targets is not None:
-                cameras = [camera_of(self.config, key) for key in self.config.cameras]
-                step_m = self.config.palm_speed_m_s / self.config.fps
-                self.virtual = VirtualEpisodes(
-                    self.recordings, self.recordings.targets, cameras, step_m, grips=self.config.grips
-                )
-        named = batch["episode_index"].flatten().cpu()
+                self.virtual = VirtualEpisodes(self.recordings, self.acting.belief.cameras)
         if not self.training:
-            return self.recordings.decisions(named, self.config).to(self.model.device)
+            return self.recordings.episodes(named)
         self.recordings.named[named] = True  # LeRobot may select episodes and hold others out; batches tell which
-        known = self.recordings.known
-        others = known[torch.randint(len(known), (len(named), self.config.episodes_per_sample - 1))]
-        chosen = torch.cat([named[:, None], others], dim=1).flatten()
+        n = len(named) * self.config.episodes_per_sample
         if self.virtual is not None and torch.rand(()) < self.config.virtual_share:
-            return self.virtual.decisions(len(chosen), self.config).to(self.model.device)
-        return self.recordings.decisions(chosen, self.config).to(self.model.device)
-
-    def _observed(self, model: ObActModel, batch: Batch) -> Decisions:
-        """Return one decision of each window of images."""
-        config, offsets = self.config, self.config.observation_delta_indices or []
-        at = [offsets.index(offset) for offset in config.lookback]
-        before = [offsets.index(offset - 1) for offset in config.lookback] if model.sees_motion else None
-        images = {
-            key: _pairs(batch[key][:, at], None if before is None else batch[key][:, before]) for key in config.cameras
-        }
-        texts = [text for text in batch.get("task", []) for _ in at]
-        flat = model.sight({key: rearrange(x, "b t ... -> (b t) ...") for key, x in images.items()}, texts)
-        state = torch.cat([batch[key][:, at] for key in config.state_keys], dim=-1)
-        return observed(batch, rearrange(flat, "(b t) ... -> b t ...", t=len(at)), state, config)
+            return self.virtual.draw(n, self.acting)
+        return self.recordings.episodes(self.recordings.draw(n))
 
     def update(self) -> None:
         """Update the averaged weights; LeRobot calls this after every optimiser step."""
@@ -305,49 +347,47 @@ class ObActPolicy(PreTrainedPolicy):
 
     def reset(self) -> None:
         """Forget the last episode."""
-        reach = self.config.n_obs_frames * self.config.obs_stride + 1
-        self._frames: deque[Frames] = deque(maxlen=reach)
+        self._history, self._outlook = History(), None
+        self._frames: deque[Frames] = deque(maxlen=2)
+        self._frame = -1  # the number of the newest one
+        self._began_s = self._now_s = 0.0  # when the first and the newest one were seen
         self._images: dict[str, Tensor] = {}
         self._queue: deque[Tensor] = deque()
-        self._pending: deque[Tensor] = deque(maxlen=self.config.delay_frames)
+        self._sent: deque[Tensor] = deque(maxlen=self.config.rig.delay_frames + 1)
+        self.thought: Thought | None = None
 
     @torch.no_grad()
-    def select_action(self, batch: Batch, noise: Tensor | None = None, **kwargs: Any) -> Tensor:
+    def select_action(self, batch: Batch, **kwargs: Any) -> Tensor:
         """Return the next action of every environment, ``(B, A)``; call it once per control step.
+
+        A frame is as old as its ``timestamp`` says, or, if the batch has none, as calls at ``rig.fps`` say.
 
         Args:
             batch: preprocessed observation of one step.
-            noise: start of the sampling, ``(B, H, A)``; drawn for every chunk if None.
             **kwargs: unused.
         """
         self.eval()
-        self._note(batch, float(self._frames[-1].time_s) + 1 / self.config.fps if self._frames else 0.0)
+        self._note(batch, self._now_s + 1 / self.config.rig.fps)
         if not self._queue:
-            self._queue.extend(self._chunk(noise)[:, : self.config.n_action_steps].unbind(1))
+            self._queue.extend(self._chunk()[:, : self.config.n_action_steps].unbind(1))
         action = self._queue.popleft()
-        self._pending.append(self._heeded(batch, action))
+        self._sent.append(palm_of(action))
         return action
-
-    def _heeded(self, batch: Batch, action: Tensor) -> Tensor:
-        """Return where an action sends the palm [m], ``(B, 3)``; not a number where the observation window voids it."""
-        goal = torch.nn.functional.pad(action[:, :3], (0, max(0, 3 - action.shape[-1])))
-        phase = batch.get("observation.phase")
-        return goal if phase is None else torch.where(phase[:, 1:] > 0.5, goal, torch.nan)
 
     @torch.no_grad()
     def observe(self, batch: Batch) -> None:
         """Add a frame to the history without acting, for callers that ask for chunks now and then."""
         self.eval()
-        self._note(batch, self._clock(batch))
+        self._note(batch, time.monotonic())
 
     @torch.no_grad()
     def predict_action_chunk(
         self,
         batch: Batch,
-        noise: Tensor | None = None,
         inference_delay: int | None = None,
         prev_chunk_left_over: Tensor | None = None,
         execution_horizon: int | None = None,
+        **kwargs: Any,
     ) -> Tensor:
         """Return a whole chunk, ``(B, H, A)``.
 
@@ -356,24 +396,20 @@ class ObActPolicy(PreTrainedPolicy):
 
         Args:
             batch: preprocessed observation of one step.
-            noise: see `select_action`.
             inference_delay: real-time chunking: actions that will have been executed when this chunk is ready.
             prev_chunk_left_over: real-time chunking: the unexecuted ones, ``(B, n, A)`` or ``(n, A)``.
             execution_horizon: real-time chunking: actions over which the guidance to them fades out.
+            **kwargs: unused.
         """
         self.observe(batch)
         guidance = None
         if self.rtc_processor is not None and prev_chunk_left_over is not None:
             left = prev_chunk_left_over.reshape(len(self._frames[-1].state), -1, prev_chunk_left_over.shape[-1])
             guidance = Guidance(self.rtc_processor, left, inference_delay or 0, execution_horizon)
-        return self._chunk(noise, guidance)
-
-    def _clock(self, batch: Batch) -> float:
-        """Return the time of a frame [s]."""
-        return float(batch["timestamp"].flatten()[0]) if "timestamp" in batch else time.monotonic()
+        return self._chunk(guidance)
 
     def _note(self, batch: Batch, time_s: float) -> None:
-        """Encode the newest frame and keep it.
+        """Encode the newest frame and keep it; ``time_s`` counts if the batch does not say when it was seen.
 
         Raises:
             ValueError: if the number of environments changed since `reset`.
@@ -385,42 +421,60 @@ class ObActPolicy(PreTrainedPolicy):
                 f"the batch changed from {len(self._frames[-1].state)} to {len(state)} environments: call "
                 "policy.reset() between rollouts."
             )
+        if "timestamp" in batch:
+            time_s = float(batch["timestamp"].flatten()[0])
+        self._now_s = time_s
+        if not self._frames:
+            self._began_s = time_s  # single precision keeps differences of such times, not times of day
         now = {key: batch[key] for key in config.cameras}
         before = (self._images or now) if model.sees_motion else dict.fromkeys(now)
-        sightings = model.sight({key: _pairs(now[key], before[key]) for key in now}, batch.get("task"))
+        sightings = model.encode_images({key: _pairs(now[key], before[key]) for key in now})
         self._images = now
-        self._frames.append(Frames(sightings[:, None], state[:, None], state.new_tensor([time_s])))
+        self._frames.append(Frames(sightings[:, None], state[:, None], state.new_tensor([time_s - self._began_s])))
+        self._frame += 1
+        self._outlook = self._history.see(model, self._frames[-1])
 
-    def _chunk(self, noise: Tensor | None = None, guidance: Guidance | None = None) -> Tensor:
+    def _chunk(self, guidance: Guidance | None = None) -> Tensor:
         """Return the chunk for the newest frame, ``(B, H, A)``."""
-        model = self.acting
-        sightings, state, time_s = zip(*((f.sightings, f.state, f.time_s) for f in self._frames), strict=True)
-        frames = Frames(torch.cat(sightings, dim=1), torch.cat(state, dim=1), torch.cat(time_s))
-        newest = len(frames.time_s) - 1
-        rows = torch.full((len(frames.state), 1), newest, device=frames.state.device)
-        features, forecast = model.believe(frames, rows)
-        due = self._due(frames)
-        context, origin = model.context(features[:, 0], forecast[:, 0], due, frames.state[:, -1])
+        assert self._outlook is not None
+        model, frame, outlook = self.acting, self._frames[-1], self._outlook.at(0)
+        context, origin = model.condition(outlook, self._due(), frame.state[:, 0])
+        self.thought = Thought(
+            frame.sightings[:, 0],
+            torch.stack([cam.origin(frame.palm[:, 0]) + cam.place(frame.sightings[:, 0, i, :3])
+                         for i, cam in enumerate(model.belief.cameras)], dim=1),
+            outlook.forecast,
+            model.belief.ahead_s,
+            origin[:, 0],
+            outlook.weights,
+        )  # fmt: skip
         if guidance is not None:
             leftover = guidance.leftover[:, : self.config.horizon]
             guidance = replace(guidance, leftover=model.normalise(leftover, origin[:, : leftover.shape[1]]))
-        return model.unnormalise(model.head.sample(context, noise, guidance), origin)
+        return model.unnormalise(model.head.sample(context, self._frame, guidance), origin)
 
-    def _due(self, frames: Frames) -> Tensor:
+    def _due(self) -> Tensor:
         """Return where the palm will be when the next command takes effect [m], ``(B, 3)``.
 
-        That follows from the commands on their way, cut to the palm's speed; a caller of `predict_action_chunk` may
-        have executed others, so there a palm in motion is taken to go on.
+        That follows from the commands on their way, cut to the palm's speed, as long as the palm does what it is told:
+        where it should have moved and did not, as in an observation window, it is taken to stay. A caller of
+        `predict_action_chunk` may have executed other commands, so there a palm in motion is taken to go on.
         """
-        palm, config = frames.palm[:, -1], self.config
-        step_m = config.palm_speed_m_s / config.fps
-        for goal in self._pending:
-            way = torch.where(goal.isnan(), 0.0, goal - palm)
-            palm = palm + way * (step_m / way.norm(dim=-1, keepdim=True).clamp_min(1e-6)).clamp_max(1.0)
-        if config.delay_frames and not self._pending and len(frames.time_s) > 1:
-            velocity = (palm - frames.palm[:, -2]) / (frames.time_s[-1] - frames.time_s[-2])
-            palm = palm + velocity * config.delay_frames / config.fps
-        return palm
+        palm, rig = self._frames[-1].palm[:, 0], self.config.rig
+        if not rig.delay_frames or len(self._frames) < 2:
+            return palm
+        before = self._frames[0].palm[:, 0]
+        if not self._sent:
+            elapsed_s = max(1e-3, float(self._frames[1].time_s - self._frames[0].time_s))
+            return palm + (palm - before) / elapsed_s * rig.delay_frames / rig.fps
+        executed, *coming = self._sent
+        if len(coming) < rig.delay_frames:
+            return palm
+        told = (stepped(before, executed, rig.step_m) - before).norm(dim=-1)
+        heeds, due = (palm - before).norm(dim=-1) > 0.5 * told, palm
+        for goal in coming:
+            due = stepped(due, goal, rig.step_m)
+        return torch.where(heeds[:, None], due, palm)
 
     # -- real-time chunking, adapters, checkpoints ----------------------------------------------------------------
 
@@ -438,34 +492,58 @@ class ObActPolicy(PreTrainedPolicy):
         """Open a checkpoint; the weights that its encoders and head started from are not needed any more."""
         return super().from_pretrained(pretrained_name_or_path, load_pretrained=False, **kwargs)
 
-    def wrap_with_peft(self, *args: Any, **kwargs: Any) -> PreTrainedPolicy:
-        """Add adapters to the acting weights. Adapters are not averaged, so the average becomes the base."""
+    def keep_average(self) -> None:
+        """Continue with the averaged weights alone, which acted so far."""
         if self.average is not None:
             self.model.load_state_dict(self.average.module.state_dict())
             self.average, self.config.ema_decay = None, 0.0
+
+    def wrap_with_peft(self, *args: Any, **kwargs: Any) -> PreTrainedPolicy:
+        """Add adapters to the acting weights. Adapters are not averaged, so the average becomes the base."""
+        self.keep_average()
         return super().wrap_with_peft(*args, **kwargs)
 
     def _get_default_peft_targets(self) -> dict[str, Any]:
         return {"target_modules": r"model\.belief\.blocks\..*\.(qkv|out)", "modules_to_save": []}
 
 
-def decision_losses(model: ObActModel, decisions: Decisions) -> dict[str, Tensor]:
+def decision_losses(model: ObActModel, outlook: Outlook, decisions: Decisions) -> dict[str, Tensor]:
     """Return the losses of forecast and action by episode, ``(B,)`` each."""
-    features, forecast = model.believe(decisions.frames, decisions.rows)
-    losses = {}
+    losses, n = {}, len(outlook.features)
     if decisions.future is not None:
-        losses["forecast"] = decisions.future.loss(forecast, model.belief.ahead_s)
-    m = decisions.palm.shape[2]
-    each = [repeat(x, "b q ... -> (b q m) ...", m=m) for x in (features, forecast)]
+        losses["forecast"] = decisions.future.loss(outlook.forecast, model.belief.ahead_s)
     palm, state, actions, weight = (
         x.flatten(0, 2) for x in (decisions.palm, decisions.state, decisions.actions, decisions.weight)
     )
-    context, origin = model.context(each[0], each[1], palm, state)
+    context, origin = model.condition(outlook.repeated(decisions.palm.shape[2]), palm, state)
     loss = model.head.loss(context, model.normalise(actions, origin.detach()), weight)  # (B * Q * M,)
+    losses["action"] = rearrange(loss, "(b n) -> b n", b=n).mean(1)
     if decisions.future is not None:
         missed = ((actions[..., :3] - origin).square().sum(-1) + 1e-8).sqrt()  # by the place that was picked
-        loss = loss + MISSED_WEIGHT * (missed * weight).mean(-1)
-    return losses | {"action": rearrange(loss, "(b n) -> b n", b=len(features)).mean(1)}
+        losses["missed"] = MISSED_WEIGHT * rearrange((missed * weight).mean(-1), "(b n) -> b n", b=n).mean(1)
+    return losses
+
+
+def _losses_of_windows(model: ObActModel, batch: Batch) -> dict[str, Tensor]:
+    """Return the losses of decisions at the end of windows of images, ``(B,)`` each."""
+    from .decisions import Decisions
+
+    config, offsets = model.config, model.config.observation_delta_indices or []
+    at = [offsets.index(offset) for offset in config.lookback]
+    before = [offsets.index(offset - 1) for offset in config.lookback] if model.sees_motion else None
+    images = {
+        key: _pairs(batch[key][:, at], None if before is None else batch[key][:, before]) for key in config.cameras
+    }
+    flat = model.encode_images({key: rearrange(x, "b t ... -> (b t) ...") for key, x in images.items()})
+    state = torch.cat([batch[key][:, at] for key in config.state_keys], dim=-1)
+    time_s = torch.tensor(config.lookback, device=state.device) / config.rig.fps
+    frames = Frames(rearrange(flat, "(b t) ... -> b t ...", t=len(at)), state, time_s)
+    rows = torch.full((len(state), 1), len(at) - 1, device=state.device)
+    actions, padding = batch[ACTION], batch.get(f"{ACTION}_is_pad")
+    weight = torch.ones(actions.shape[:2], device=state.device) if padding is None else (~padding).float()
+    palm, now = frames.palm[:, -1:, None], frames.state[:, -1:, None]
+    decisions = Decisions(palm, now, actions[:, None, None], weight[:, None, None])
+    return decision_losses(model, model.encode_history(frames, rows), decisions)
 
 
 def _pairs(now: Tensor, before: Tensor | None) -> Tensor:

@@ -1,103 +1,245 @@
-"""What the teacher answers for palms that were never there: training only, the acting code does not import this.
+"""What a hand should do about a target whose path is known, wherever its palm is. Training only.
 
-A recorded episode shows one hand on its way to one target. The belief about the target does not depend on where the
-palm is, so each decision is taken from several palms at once: where the palm was, moved from there, and near the
-teacher's own way. For each the teacher's answer has a closed form: the earliest point of the target's path that a palm
-of limited speed reaches with a little time to spare, and fingers that close by the time left until then.
+A recorded episode shows one hand on its way to one target. What is believed about the target does not depend on where
+the palm is, so each decision is taken from several palms at once, and a teacher, a function of the state, answers for
+all of them. There is one for each rule of capture: `Meet` and `Grip`.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import torch
-from einops import rearrange, repeat
+from einops import repeat
 from torch import Tensor
 
-LONGEST_FRAMES = 100
-"""The teacher looks this far ahead."""
-CLOSED_FRAMES, CLOSING_FRAMES = 24, 8
-"""Fingers are closed this long before the meeting, and take this long to close."""
-NEAREST_M, FARTHEST_M = 0.01, 0.15
-"""Least and greatest standard deviation by which a virtual palm is moved, along each axis."""
-UNREACHABLE_WEIGHT = 0.1
-PLANNED_SPEED = 0.85
-"""Share of the palm's speed limit that the teacher plans with where that suffices: a palm that needs all of it comes
-too late whenever the forecast was wrong."""
-SLACK_M = 0.015
-"""Within this distance the palm has met the target: half of the localisation radius. Without it, a hand that trails a
-slightly faster target heads for a distant meeting instead of closing the last centimetres."""
+from .frames import Record
+
+NEAREST_M, FARTHEST_M = 0.004, 0.15
+"""Least and greatest standard deviation by which palms are moved, along each axis."""
+
+
+@dataclass(frozen=True)
+class Targets(Record):
+    """Where the targets of B episodes are.
+
+    Attributes:
+        path: of the untouched target [m], ``(B, F, 3)``.
+        length: known frames of that, ``(B,)``.
+        free: frames in which there is something to decide: until the hand has the target, or a little longer, ``(B,)``.
+        carried: the path with what the hand does to the target [m], ``(B, F, 3)``.
+        held: the frame from which on the hand holds the target, ``(B,)``.
+    """
+
+    path: Tensor
+    length: Tensor
+    free: Tensor
+    carried: Tensor
+    held: Tensor
+
+    def of(self, chosen: Tensor) -> Targets:
+        """Return those of episodes ``(B,)``."""
+        return self.map(lambda x: x[chosen])
+
+    def is_held(self, frame: Tensor) -> Tensor:
+        """Return whether targets are in the hand in frames ``(B, Q)``."""
+        return frame >= self.held[:, None]
+
+    def places(self, frame: Tensor, seen_from: Tensor) -> Tensor:
+        """Return where targets are in frames ``(B, Q, K)`` [m], ``(B, Q, K, 3)``.
+
+        Seen from frames ``(B, Q)`` before the catch, that is the untouched path.
+        """
+        index = torch.minimum(frame, self.length[:, None, None] - 1)
+        rows = torch.arange(len(frame))[:, None, None]
+        return torch.where(self.is_held(seen_from)[..., None, None], self.carried[rows, index], self.path[rows, index])
 
 
 @dataclass(frozen=True)
 class Answers:
-    """What the teacher would do, for palms ``(B, Q, M, ...)``.
+    """What palms ``(B, Q, M)`` should do in the next H frames.
 
     Attributes:
-        palm: where the palm is when the command takes effect [m].
-        meeting: where it goes [m].
-        frames: until it is there.
-        reachable: whether it can be there in time, bool.
+        goal: where to go [m], ``(B, Q, M, H, 3)``.
+        closing: how far the fingers should be closed, 0 open, 1 closed, ``(B, Q, M, H)``.
+        frames: about how many are left until the meeting, ``(B, Q, M)``.
+        reachable: whether the palm can be there in time, ``(B, Q, M)``.
     """
 
-    palm: Tensor
-    meeting: Tensor
+    goal: Tensor
+    closing: Tensor
     frames: Tensor
     reachable: Tensor
 
+
+@dataclass(frozen=True)
+class Teacher:
+    """A rule of capture, and what to do under it.
+
+    Attributes:
+        fps: frame rate [Hz].
+        step_m: how far a palm gets in a frame [m].
+        open_joints, closed_joints: of the hand [rad], ``(J,)``.
+    """
+
+    fps: float
+    step_m: float
+    open_joints: Tensor
+    closed_joints: Tensor
+
+    carries: ClassVar[bool] = False
+    """Whether a target that is caught goes where the hand goes, and there is still something to decide."""
+
     @property
-    def weight(self) -> Tensor:
-        """Weight in the loss."""
-        return torch.where(self.reachable, 1.0, UNREACHABLE_WEIGHT)
+    def squeeze_rad(self) -> float:
+        """How much farther than closed the joints are commanded [rad]."""
+        return 0.0
 
-    def closing(self, ahead: int) -> Tensor:
-        """Return how far the fingers should be closed after 0, 1, ... ``ahead`` - 1 frames, 0 open, 1 closed."""
-        left = self.frames[..., None] - torch.arange(ahead, device=self.frames.device)
-        return ((CLOSED_FRAMES + CLOSING_FRAMES - left) / CLOSING_FRAMES).clamp(0, 1)
+    def answer(self, targets: Targets, due: Tensor, palms: Tensor, horizon: int) -> Answers:
+        """Return what to do with palms ``(B, Q, M, 3)`` [m] in frames ``due`` ``(B, Q)``."""
+        raise NotImplementedError
+
+    def caught(self, targets: Targets, frame: int, palm: Tensor, moved: Tensor, closed: Tensor) -> Tensor:
+        """Return whether hands ``(B,)`` catch their targets between a frame and the next one.
+
+        Args:
+            targets: of those.
+            frame: the first of the two.
+            palm, moved: where the palms are in the one and in the other [m], ``(B, 3)``.
+            closed: whether their fingers close, ``(B,)``.
+        """
+        raise NotImplementedError
+
+    def joints(self, closing: Tensor) -> Tensor:
+        """Return commands to the joints [rad], ``(..., J)``, of hands that should be closed by ``(...)``."""
+        return torch.lerp(self.open_joints, self.closed_joints + self.squeeze_rad, closing[..., None])
+
+    def closed_share(self, joints: Tensor) -> Tensor:
+        """Return how far joints ``(..., J)`` are closed, 0 open, 1 closed, ``(...)``."""
+        return (joints - self.open_joints).sum(-1) / (self.closed_joints - self.open_joints).sum()
+
+    def palms(self, targets: Targets, due: Tensor, palm: Tensor) -> Tensor:
+        """Draw four palms for each decision, ``(B, Q, 4, 3)`` [m]: the one that was there, and others near it and near
+        the target. A palm that holds the target stays where it is.
+
+        Args:
+            targets: of the episodes.
+            due: frames at which commands take effect, ``(B, Q)``.
+            palm: where the palm was then [m], ``(B, Q, 3)``.
+        """
+        place = targets.places(due[..., None], due)[:, :, 0]
+        base = torch.stack([palm, palm, palm, place], dim=2)
+        spread = NEAREST_M * (FARTHEST_M / NEAREST_M) ** torch.rand(*base.shape[:3], 1)
+        moved = base + spread * torch.randn_like(base)
+        moved[:, :, 0] = palm
+        return torch.where(targets.is_held(due)[..., None, None], palm[:, :, None], moved)
 
 
-def answers(path: Tensor, length: Tensor, due: Tensor, palms: Tensor, step_m: float) -> Answers:
-    """Return where the teacher meets the target: at the earliest point in reach, or where it misses by least.
+LONGEST_FRAMES = 100
+"""`Meet` looks this far ahead."""
+CLOSED_FRAMES, CLOSING_FRAMES = 24, 8
+"""Fingers are closed this long before the meeting, and take this long to close."""
+PLANNED_SPEED = 0.85
+"""Share of the palm's speed limit that it plans with where that suffices: a palm that needs all of it comes too late
+whenever the forecast was wrong."""
+SLACK = 0.5
+"""Within this share of the radius the palm has met the target. Without it, a hand that trails a slightly faster target
+heads for a distant meeting instead of closing the last centimetres."""
 
-    Args:
-        path: of the untouched target [m], ``(B, F, 3)``.
-        length: frames of it that are known, ``(B,)``.
-        due: the frame at which the command takes effect, ``(B, Q)``.
-        palms: where palms are then [m], ``(B, Q, M, 3)``.
-        step_m: how far a palm gets in a frame [m].
+
+@dataclass(frozen=True)
+class Meet(Teacher):
+    """Be where the target comes within a radius of the palm: at the earliest point of its path that is in reach.
+
+    Attributes:
+        radius_m: that radius [m].
     """
-    q, m = palms.shape[1:3]
-    ahead = torch.arange(1, LONGEST_FRAMES + 1, device=path.device)
-    last = length[:, None, None] - 1
-    frame = due[..., None] + ahead  # (B, Q, K)
-    index = repeat(torch.minimum(frame, last), "b q k -> b (q k) i", i=3)
-    future = rearrange(path.gather(1, index), "b (q k) i -> b q 1 k i", q=q)
-    distance, known = (future - palms[:, :, :, None]).norm(dim=-1), (frame <= last)[:, :, None]  # (B, Q, M, K)
-    late = (distance - step_m * ahead).masked_fill(~known, float("inf"))  # what the palm is short of [m]
-    possible, planned = late <= SLACK_M, known & (distance - PLANNED_SPEED * step_m * ahead <= SLACK_M)
-    reachable = possible.any(-1)
-    possible = torch.where(planned.any(-1, keepdim=True), planned, possible)
-    frames = torch.where(reachable, possible.int().argmax(-1), late.argmin(-1)) + 1
-    chosen = repeat(frames - 1, "b q m -> b q m 1 i", i=3)
-    meeting = future.expand(-1, -1, m, -1, -1).gather(3, chosen)[:, :, :, 0]
-    return Answers(palms, meeting, frames, reachable)
+
+    radius_m: float = 0.03
+
+    def answer(self, targets: Targets, due: Tensor, palms: Tensor, horizon: int) -> Answers:
+        """See `Teacher.answer`; a palm that is in time nowhere goes where it misses by least."""
+        ahead = torch.arange(1, LONGEST_FRAMES + 1)
+        frame = due[..., None] + ahead  # (B, Q, K)
+        future = targets.places(frame, due)[:, :, None]  # (B, Q, 1, K, 3)
+        known = (frame < targets.length[:, None, None])[:, :, None]
+        distance = (future - palms[:, :, :, None]).norm(dim=-1)  # (B, Q, M, K)
+        late = (distance - self.step_m * ahead).masked_fill(~known, float("inf"))  # what the palm is short of [m]
+        slack_m = SLACK * self.radius_m
+        possible, planned = late <= slack_m, known & (distance - PLANNED_SPEED * self.step_m * ahead <= slack_m)
+        reachable = possible.any(-1)
+        possible = torch.where(planned.any(-1, keepdim=True), planned, possible)
+        frames = torch.where(reachable, possible.int().argmax(-1), late.argmin(-1)) + 1
+        chosen = repeat(frames - 1, "b q m -> b q m 1 i", i=3)
+        meeting = future.expand(-1, -1, palms.shape[2], -1, -1).gather(3, chosen)
+        left = frames[..., None] - torch.arange(horizon)
+        closing = ((CLOSED_FRAMES + CLOSING_FRAMES - left) / CLOSING_FRAMES).clamp(0, 1)
+        return Answers(meeting.expand(-1, -1, -1, horizon, -1), closing, frames, reachable)
+
+    def caught(self, targets: Targets, frame: int, palm: Tensor, moved: Tensor, closed: Tensor) -> Tensor:
+        """See `Teacher.caught`: by the least distance."""
+        start, end = (targets.path[:, min(frame + i, targets.path.shape[1] - 1)] for i in (0, 1))
+        return (passing_distance(start - palm, end - moved) < self.radius_m) & (frame < targets.length - 1)
 
 
-def virtual_palms(path: Tensor, length: Tensor, window: Tensor, due: Tensor, *, palm: Tensor, step_m: float) -> Tensor:
-    """Draw four palms for each decision, ``(B, Q, 4, 3)`` [m]; the first is where the palm was.
+class Grip(Teacher):
+    """Close the fingers around the target, and brake with it in the hand: what the expert ``match`` does."""
 
-    Args:
-        path, length: see `answers`.
-        window: frames of the observation window, ``(B,)``.
-        due: the frame at which the command takes effect, ``(B, Q)``.
-        palm: where the palm was then [m], ``(B, Q, 3)``.
-        step_m: how far a palm gets in a frame [m].
-    """
-    start = torch.minimum(window, length - 2)[:, None]
-    home = path.new_zeros(len(path), 1, 1, 3)
-    first = answers(path, length, start, home, step_m).meeting[:, 0]  # (B, 1, 3)
-    gone = (due - start).clamp_min(0) * step_m / first.norm(dim=-1).clamp_min(0.02)
-    on_its_way = gone.clamp_max(1.0)[..., None] * first
-    base = torch.stack([palm, palm, on_its_way, on_its_way], dim=2)
-    spread = NEAREST_M * (FARTHEST_M / NEAREST_M) ** torch.rand(*base.shape[:3], 1, device=base.device)
-    moved = torch.randn_like(base) * spread
-    moved[:, :, 0] = 0.0
-    return base + moved
+    carries: ClassVar[bool] = True
+
+    @property
+    def expert(self) -> Any:
+        """The expert, which is a function of where the palm is relative to the target.
+
+        Raises:
+            ImportError: if it is not installed.
+        """
+        try:
+            from dynahoi_lerobot.experts import match
+        except ImportError as error:
+            raise ImportError(
+                "targets that must be gripped are learned from the expert 'match' of dynahoi_lerobot: install "
+                "lerobot_policy_obact[contact]"
+            ) from error
+        return match
+
+    @property
+    def squeeze_rad(self) -> float:
+        """See `Teacher.squeeze_rad`."""
+        return self.expert.SQUEEZE_RAD
+
+    @property
+    def seat(self) -> Tensor:
+        """Where a held target is, from the palm [m], ``(3,)``."""
+        return torch.tensor(self.expert.SEAT_M, dtype=torch.float32)
+
+    def answer(self, targets: Targets, due: Tensor, palms: Tensor, horizon: int) -> Answers:
+        """See `Teacher.answer`."""
+        held, n = targets.is_held(due)[:, :, None], horizon + 1
+        path = targets.places(due[..., None] + torch.arange(-1, n), due) - self.seat  # (B, Q, H + 2, 3)
+        velocity, path = (path[:, :, 1] - path[:, :, 0]) * self.fps, path[:, :, None, 1:]
+        offset, carried = palms - path[..., 0, :], palms
+        left = (offset.norm(dim=-1) / self.expert.STEP_M).ceil().long().clamp_min(1)
+        goals, closing = [], []
+        for step in range(1, n):
+            moved, closes = (torch.from_numpy(x) for x in self.expert.approach(offset.numpy()))
+            offset = moved.float()
+            velocity = torch.from_numpy(self.expert.braked(velocity.numpy())).float()
+            carried = carried + velocity[:, :, None] / self.fps
+            goals.append(torch.where(held[..., None], carried, path[..., step, :] + offset))
+            closing.append(held | closes)
+        return Answers(torch.stack(goals, 3), torch.stack(closing, 3).float(), left, torch.ones_like(left).bool())
+
+    def caught(self, targets: Targets, frame: int, palm: Tensor, moved: Tensor, closed: Tensor) -> Tensor:
+        """See `Teacher.caught`: by fingers that close around it."""
+        last = targets.carried.shape[1] - 1
+        offset = palm - (targets.carried[:, min(frame, last)] - self.seat)
+        return closed & (offset.norm(dim=-1) < self.expert.HELD_M) & (frame < targets.length - 1)
+
+
+def passing_distance(start: Tensor, end: Tensor) -> Tensor:
+    """Return the least length ``(...)`` of vectors ``(..., 3)`` going from ``start`` to ``end`` in a straight line."""
+    way = end - start
+    share = (-(start * way).sum(-1) / way.square().sum(-1).clamp_min(1e-10)).clamp(0, 1).detach()
+    return ((start + share[..., None] * way).square().sum(-1) + 1e-10).sqrt()

@@ -6,7 +6,9 @@ import pytest
 import torch
 from lerobot_policy_obact.camera import Pinhole
 from lerobot_policy_obact.encoders import ENCODERS, SHIPPED, Eye
-from lerobot_policy_obact.eye_training import sighting_loss
+from transformers import ViTConfig, ViTImageProcessor, ViTModel
+
+from dynahoi_lerobot.pretrain.eye_training import sighting_loss
 
 LOOKS_ALONG_X = [-0.15, 0.03, 0.21, 0.5, 0.5, -0.5, -0.5]
 """Pose of a camera behind the palm that looks along +x, with z up."""
@@ -91,8 +93,14 @@ def test_weights_that_are_not_there_are_named(tmp_path: Path):
         Eye(weights=str(tmp_path / "nothing.safetensors")).load_pretrained()
 
 
-@pytest.mark.parametrize("name", ["conv", "resnet18"])
-def test_an_encoder_with_cells_gives_a_sighting_and_an_embedding(name: str):
-    options = {"weights": ""} if name == "resnet18" else {}
+@pytest.mark.parametrize("name", ["conv", "transformers"])
+def test_an_encoder_with_cells_gives_a_sighting_and_an_embedding(name: str, tmp_path: Path):
+    options = {}
+    if name == "transformers":
+        small = {"hidden_size": 16, "num_hidden_layers": 1, "num_attention_heads": 2, "intermediate_size": 16}
+        ViTModel(ViTConfig(image_size=32, patch_size=8, **small)).save_pretrained(tmp_path)
+        ViTImageProcessor().save_pretrained(tmp_path)
+        options = {"name": str(tmp_path)}
     encoder = ENCODERS[name](embedding=7, **options)
+    encoder.load_pretrained()
     assert encoder(torch.rand(2, 3, 64, 64)).shape == (2, 5 + 7)

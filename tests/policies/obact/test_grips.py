@@ -1,14 +1,15 @@
-"""Learning to catch by contact: virtual hands catch, what is in the hand goes with it, labels are the expert's."""
+"""The teacher of the contact track: hands that follow it catch, held targets go with them, it answers as the expert."""
 
-import pytest
+from dataclasses import replace
+
 import torch
-from lerobot_policy_obact.grips import SEAT, GrippingHands, grip_answers, grip_palms
-from lerobot_policy_obact.recordings import Targets
+from lerobot_policy_obact.frames import stepped
+from lerobot_policy_obact.recordings import NEVER
+from lerobot_policy_obact.teacher import Grip, Targets
 
 from dynahoi_lerobot.core.agent import WorldState
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.experts.base import Teacher
-from dynahoi_lerobot.experts.match import HELD_M, STEP_M
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -21,55 +22,50 @@ def passing_targets(n: int) -> Targets:
     start = torch.tensor([0.3, 0.0, 0.0]) + 0.1 * torch.randn(n, 1, 3)
     path = start + torch.arange(FRAMES)[:, None] * 0.015 * torch.rand(n, 1, 3)
     full = torch.full((n,), FRAMES)
-    return Targets(path, full, full, open_joints=torch.zeros(15), closed_joints=torch.full((15,), 1.3))
+    return Targets(path, full, full, path, torch.full((n,), NEVER))
 
 
-@pytest.fixture(scope="module")
-def played() -> tuple[Targets, torch.Tensor]:
-    """Targets after virtual hands went for them, and where the palms were, ``(B, T, 3)``."""
+def grip(fps: float = 20.0) -> Grip:
+    return Grip(fps, 0.1, torch.zeros(15), torch.full((15,), 1.3))
+
+
+def test_a_hand_that_follows_it_closes_where_it_has_the_target():
     torch.manual_seed(0)
-    hands, palms = GrippingHands(passing_targets(64), torch.full((64,), WINDOW), step_m=0.1), []
-    for t in range(FRAMES):
-        palms.append(hands.palm)
-        hands.move(t)
-    return hands.targets, torch.stack(palms, dim=1)
+    targets, palm, caught = passing_targets(64), torch.zeros(64, 3), torch.zeros(64, dtype=torch.bool)
+    for t in range(WINDOW, FRAMES - 1):
+        told = grip().answer(targets, torch.full((64, 1), t), palm[:, None, None], 1)
+        moved = stepped(palm, told.goal[:, 0, 0, 0], 0.1)
+        caught |= grip().caught(targets, t, palm, moved, told.closing[:, 0, 0, 0] > 0.5)
+        palm = moved
+    assert caught.float().mean() >= 0.9
 
 
-def test_virtual_hands_wait_catch_and_carry_the_target_along(played: tuple[Targets, torch.Tensor]):
-    targets, palm = played
-    assert (palm[:, : WINDOW + 1] == 0).all()
-    caught = (targets.contact < FRAMES).nonzero()[:, 0]
-    assert len(caught) >= 0.9 * len(palm)
-    for i in caught:
-        contact = int(targets.contact[i])
-        assert targets.carried[i, :contact].equal(targets.path[i, :contact])
-        offset = palm[i, contact:] - (targets.carried[i, contact:] - SEAT)
-        assert offset[0].norm() < HELD_M + STEP_M
-        assert (offset - offset[0]).abs().max() < 1e-5
-        assert palm[i, -1, 2] > palm[i, contact, 2], "it is lifted"
+def carried_targets() -> Targets:
+    """Targets that are held from frame 30 on by hands that go upwards at 0.2 m/s."""
+    targets = passing_targets(4)
+    carried = targets.path.clone()
+    carried[:, 30:] = carried[:, 29:30] + torch.arange(1, FRAMES - 29)[:, None] * torch.tensor([0, 0, 0.01])
+    return replace(targets, carried=carried, held=torch.full((4,), 30))
 
 
-def test_a_target_in_the_hand_is_expected_to_go_with_it_and_one_before_the_catch_to_go_on(played):
-    targets, _ = played
-    caught = targets.of((targets.contact < FRAMES - 10).nonzero()[:4, 0])
-    due = torch.stack([caught.contact - 1, caught.contact], dim=1)
-    places = caught.places(due[..., None] + torch.tensor([0, 8]), due)
-    rows, ahead = torch.arange(len(due)), caught.contact + 8
-    assert places[:, 0, 1].equal(caught.path[rows, ahead - 1])
-    assert places[:, 1, 1].equal(caught.carried[rows, ahead])
+def test_a_target_in_the_hand_is_expected_to_go_with_it_and_one_before_the_catch_to_go_on():
+    targets = carried_targets()
+    due = torch.tensor([[29, 30]]).expand(4, -1)
+    places = targets.places(due[..., None] + torch.tensor([0, 8]), due)
+    assert places[:, 0, 1].equal(targets.path[:, 37])
+    assert places[:, 1, 1].equal(targets.carried[:, 38])
 
 
-def test_palms_that_hold_a_target_stay_closed_and_are_not_moved(played: tuple[Targets, torch.Tensor]):
-    targets, palm = played
-    caught = (targets.contact < FRAMES - 2 * HORIZON).nonzero()[:, 0]
-    targets, due = targets.of(caught), targets.contact[caught][:, None] + 2
-    held = palm[caught[:, None], due]
-    palms = grip_palms(targets, due, held)
-    assert palms.equal(held[:, :, None].expand_as(palms))
-    goals, closing, _ = grip_answers(targets, due, palms, HORIZON)
-    assert (closing == 1).all()
-    later = palm[caught[:, None], due + HORIZON]
-    torch.testing.assert_close(goals[:, :, 0, -1], later, atol=1e-4, rtol=0)
+def test_a_hand_that_holds_a_target_stays_closed_is_not_moved_and_slows_to_lifting():
+    targets, due = carried_targets(), torch.full((4, 1), 40)
+    held = targets.carried[:, 40] - grip().seat
+    palms = grip().palms(targets, due, held[:, None])
+    assert palms.equal(held[:, None, None].expand_as(palms))
+    told = grip().answer(targets, due, palms, HORIZON)
+    assert (told.closing == 1).all()
+    speed = (told.goal[:, 0, 0].diff(dim=1)[..., 2] / 0.05).mean(0)
+    assert (speed.diff() < 0).all()
+    assert 0.15 < speed[-1] < speed[0] < 0.2
 
 
 def test_labels_are_what_the_expert_commands():
@@ -86,10 +82,10 @@ def test_labels_are_what_the_expert_commands():
                 continue  # it may hold the target by then
             path = torch.tensor(spec.oracle_path - spec.home_pos_w, dtype=torch.float32)[None]
             length = torch.tensor([path.shape[1]])
-            targets = Targets(path, length, length, torch.zeros(15), torch.ones(15))
+            targets = Targets(path, length, length, path, torch.tensor([NEVER]))
             due = torch.tensor([[max(int(world.frame[i]), spec.window_frames)]])
             palm = torch.tensor(world.state_when_due[i, :3], dtype=torch.float32).reshape(1, 1, 1, 3)
-            goals, closing, _ = grip_answers(targets, due, palm, HORIZON)
-            torch.testing.assert_close(goals[0, 0, 0, 0], torch.tensor(commands[i, :3]).float(), atol=1e-5, rtol=0)
-            assert bool(closing[0, 0, 0, 0]) == (commands[i, 3:].mean() > 0.5)
+            told = grip().answer(targets, due, palm, HORIZON)
+            torch.testing.assert_close(told.goal[0, 0, 0, 0], torch.tensor(commands[i, :3]).float(), atol=1e-5, rtol=0)
+            assert bool(told.closing[0, 0, 0, 0]) == (commands[i, 3:].mean() > 0.5)
         batch.step(commands)

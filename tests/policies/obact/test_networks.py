@@ -5,10 +5,18 @@ from pathlib import Path
 import pytest
 import torch
 from lerobot.policies.rtc import RTCConfig, RTCProcessor
-from lerobot_policy_obact.attention import AGE_STEP_S, N_AGES, AgeBias, PositionReadout, SpatialAttention, TemporalBlock
+from lerobot_policy_obact.attention import (
+    AGE_STEP_S,
+    N_AGES,
+    AgeBias,
+    Memory,
+    PositionReadout,
+    SpatialAttention,
+    TemporalBlock,
+)
 from lerobot_policy_obact.configuration_obact import HEADS
 from lerobot_policy_obact.gr00t_head import Gr00tHead
-from lerobot_policy_obact.heads import ActionHead, Guidance, most_central
+from lerobot_policy_obact.heads import ActionHead, Guidance
 from safetensors.torch import save_file
 
 from tests.checkpoints import SMALL_GR00T
@@ -65,7 +73,7 @@ def test_a_block_does_not_see_ahead():
     block, tokens = TemporalBlock(16, 4), torch.randn(2, 6, 16)
     changed = tokens.clone()
     changed[:, 4:] += 1
-    before, after = block(tokens, ages(6)), block(changed, ages(6))
+    before, after = block(tokens, ages(6), Memory()), block(changed, ages(6), Memory())
     assert torch.allclose(before[:, :4], after[:, :4], atol=1e-6)
     assert not torch.allclose(before[:, 4:], after[:, 4:], atol=1e-2)
 
@@ -73,18 +81,28 @@ def test_a_block_does_not_see_ahead():
 def test_readouts_return_convex_combinations_of_earlier_positions():
     torch.manual_seed(0)
     readout, positions = PositionReadout(16, 5), torch.arange(6.0)[None, :, None].expand(1, 6, 3)
-    points = readout(torch.randn(1, 6, 16), positions, ages(6), torch.tensor([[0, 3]]))
+    points, weights = readout(torch.randn(1, 6, 16), positions, ages(6), torch.tensor([[0, 3]]), Memory())
+    torch.testing.assert_close(weights @ positions[:, None], points)
     assert points.shape == (1, 2, 5, 3)
     assert torch.allclose(points[0, 0], torch.zeros(5, 3), atol=1e-6)  # nothing but the first frame
     assert (points[0, 1] >= 0).all()
     assert (points[0, 1] <= 3).all()
 
 
+@torch.no_grad()
+def test_frames_that_come_one_at_a_time_are_attended_to_as_if_all_were_there():
+    torch.manual_seed(0)
+    block, tokens, memory = TemporalBlock(16, 4), torch.randn(2, 6, 16), Memory()
+    whole = block(tokens, ages(6), Memory())
+    single = [block(tokens[:, i : i + 1], ages(6)[i : i + 1, : i + 1], memory) for i in range(6)]
+    torch.testing.assert_close(torch.cat(single, dim=1), whole)
+
+
 def test_attention_counts_seconds_not_frames():
     torch.manual_seed(0)
     readout, positions = PositionReadout(8, 1), torch.randn(1, 3, 3)
     tokens = torch.zeros(1, 3, 8)
-    close, apart = (readout(tokens, positions, ages(3, step), torch.tensor([[2]])) for step in (0.05, 0.5))
+    close, apart = (readout(tokens, positions, ages(3, step), torch.tensor([[2]]), Memory())[0] for step in (0.05, 0.5))
     assert not torch.allclose(close, apart, atol=1e-3)
 
 
@@ -115,36 +133,19 @@ def two_answers(n: int) -> torch.Tensor:
 def test_samples_cover_two_answers_and_nothing_between(name: str):
     with torch.enable_grad():
         head = trained(name, two_answers)
-    head.n_draws = 1
-    samples = head.sample(torch.zeros(1000, 4))[:, 0, 0]
+    samples = head.denoise(torch.zeros(1000, 4), torch.randn(1000, 1, 2), 8)[:, 0, 0]
     assert 0.4 < (samples > 0.5).float().mean() < 0.6
     assert 0.4 < (samples < -0.5).float().mean() < 0.6
-
-
-def test_the_palm_goes_the_way_nearest_to_the_others_and_the_fingers_the_median():
-    draws = torch.tensor([[[-1.0, 0.0]], [[1.0, 9.0]], [[1.1, 2.0]]])[None]
-    assert torch.equal(most_central(draws, 1), torch.tensor([[[1.0, 2.0]]]))
 
 
 @torch.no_grad()
 def test_regression_answers_with_the_middle():
     with torch.enable_grad():
         head = trained("regression", two_answers)
-    first, second = head.sample(torch.zeros(2, 4))
+    first, second = head.sample(torch.zeros(2, 4), 0)
     assert torch.equal(first, second)
     assert first[0, 0].abs() < 1.1
     assert first[0, 1].abs() < 0.1
-
-
-@pytest.mark.parametrize("name", GENERATIVE)
-@torch.no_grad()
-def test_noise_is_drawn_anew(name: str):
-    head = HEADS[name](4, 3, [2], width=16)
-    torch.nn.init.normal_(head.denoiser.out.weight)
-    context = torch.zeros(1, 4)
-    assert not torch.equal(head.sample(context), head.sample(context))
-    noise = head.noise(context)
-    assert torch.equal(head.sample(context, noise), head.sample(context, noise))
 
 
 @pytest.mark.parametrize("name", GENERATIVE)
@@ -153,8 +154,9 @@ def test_guidance_continues_the_chunk_before(name: str):
     processor = RTCProcessor(RTCConfig(enabled=True, execution_horizon=6))
     context = torch.zeros(64, 4)
     leftover = torch.tensor([1.0, 0.0]).expand(64, 4, 2)
-    guided = head.sample(context, guidance=Guidance(processor, leftover, 2, None))
-    free = head.sample(context)
+    start = torch.randn(64, 6, 2)
+    guided = head.denoise(context, start, 8, Guidance(processor, leftover, 2, None))
+    free = head.denoise(context, start, 8)
     assert (guided[:, :2, 0] > 0.5).float().mean() > 0.9
     assert (free[:, :2, 0] > 0.5).float().mean() < 0.7
 
@@ -193,7 +195,7 @@ def test_a_gr00t_head_starts_from_the_slot_of_its_embodiment(released: dict[str,
     loaded = head.state_dict()
     for key, value in released.items():
         assert torch.equal(loaded[key], value[1:2] if key.startswith(PER_EMBODIMENT) else value), key
-    assert head.sample(torch.zeros(5, 4)).shape == (5, 3, 2)
+    assert head.sample(torch.zeros(5, 4), 0).shape == (5, 3, 2)
 
 
 @pytest.mark.usefixtures("released")
@@ -229,4 +231,4 @@ def test_a_gr00t_head_learns_which_way_to_go():
         head.loss(context, actions, torch.ones(128, 1)).mean().backward()
         optimizer.step()
     with torch.no_grad():
-        assert (head.eval().sample(context)[:, 0, 0].sign() == sides).float().mean() > 0.95
+        assert (head.eval().sample(context, 0)[:, 0, 0].sign() == sides).float().mean() > 0.95

@@ -3,9 +3,32 @@
 import numpy as np
 import pytest
 import torch
-from lerobot_policy_obact.teacher import CLOSED_FRAMES, CLOSING_FRAMES, PLANNED_SPEED, SLACK_M, answers, virtual_palms
+from lerobot_policy_obact.frames import stepped
+from lerobot_policy_obact.recordings import NEVER
+from lerobot_policy_obact.recordings import RADIUS_M as RADIUS_BY_RULE
+from lerobot_policy_obact.teacher import (
+    CLOSED_FRAMES,
+    CLOSING_FRAMES,
+    PLANNED_SPEED,
+    SLACK,
+    Answers,
+    Meet,
+    Targets,
+    passing_distance,
+)  # fmt: skip
 
-STEP_M = 0.025
+from dynahoi_lerobot.captures import CAPTURES
+
+STEP_M, RADIUS_M = 0.025, 0.03
+
+
+def targets_on(path: torch.Tensor) -> Targets:
+    length = torch.full((len(path),), path.shape[1])
+    return Targets(path, length, length, path, torch.full_like(length, NEVER))
+
+
+def answers(path: torch.Tensor, due: torch.Tensor, palms: torch.Tensor, horizon: int = 1) -> Answers:
+    return Meet(20.0, STEP_M, torch.zeros(15), torch.ones(15), RADIUS_M).answer(targets_on(path), due, palms, horizon)
 
 
 def paths(n: int, frames: int = 60) -> torch.Tensor:
@@ -18,58 +41,70 @@ def paths(n: int, frames: int = 60) -> torch.Tensor:
 def searched(path: torch.Tensor, due: int, palm: torch.Tensor, share: float) -> int | None:
     """The first number of frames in which the palm gets near enough to the path at a share of its full speed."""
     for ahead in range(1, len(path) - due):
-        if (path[due + ahead] - palm).norm() <= share * STEP_M * ahead + SLACK_M:
+        if (path[due + ahead] - palm).norm() <= share * STEP_M * ahead + SLACK * RADIUS_M:
             return ahead
     return None
 
 
 def test_it_meets_the_target_at_the_first_point_in_reach_with_time_to_spare_if_there_is_one():
-    path, length = paths(20), torch.full((20,), 60)
+    path = paths(20)
     due, palms = torch.randint(0, 30, (20, 4)), torch.randn(20, 4, 3, 3) * 0.2
-    told = answers(path, length, due, palms, STEP_M)
+    told = answers(path, due, palms)
     for b, q, m in np.ndindex(20, 4, 3):
         calm, found = (searched(path[b], int(due[b, q]), palms[b, q, m], share) for share in (PLANNED_SPEED, 1.0))
         assert bool(told.reachable[b, q, m]) == (found is not None)
         if found is not None:
             assert int(told.frames[b, q, m]) == (calm or found)
-            assert torch.equal(told.meeting[b, q, m], path[b, int(due[b, q]) + (calm or found)])
+            assert torch.equal(told.goal[b, q, m, 0], path[b, int(due[b, q]) + (calm or found)])
 
 
 @pytest.mark.parametrize(("speed_m", "frames"), [(0.0, 29), (0.03, 1)])
-def test_out_of_reach_it_goes_where_it_is_the_least_late_and_counts_little(speed_m: float, frames: int):
+def test_out_of_reach_it_goes_where_it_is_the_least_late(speed_m: float, frames: int):
     path = torch.tensor([5.0, 0, 0]) + torch.arange(40)[:, None] * torch.tensor([speed_m, 0, 0])
-    told = answers(path[None], torch.tensor([40]), torch.tensor([[10]]), torch.zeros(1, 1, 1, 3), STEP_M)
+    told = answers(path[None], torch.tensor([[10]]), torch.zeros(1, 1, 1, 3))
     assert not told.reachable.any()
     assert int(told.frames) == frames
-    assert float(told.weight) < 0.5
 
 
 def test_a_hand_that_trails_a_faster_target_within_reach_closes_the_gap():
     path = torch.tensor([0.035, 0, 0]) + torch.arange(40)[:, None] * torch.tensor([1.1 * STEP_M, 0, 0])
-    told = answers(path[None], torch.tensor([40]), torch.tensor([[0]]), torch.zeros(1, 1, 1, 3), STEP_M)
+    told = answers(path[None], torch.tensor([[0]]), torch.zeros(1, 1, 1, 3))
     assert not told.reachable.any()
     assert int(told.frames) == 1
 
 
+def test_the_radius_is_that_of_the_rule_of_capture():
+    known = {name: CAPTURES[name].localization_radius_m for name in CAPTURES.names() if CAPTURES[name].welds}
+    assert pytest.approx(known) == RADIUS_BY_RULE
+
+
 def test_fingers_are_closed_before_the_meeting_and_open_long_before():
     path = torch.tensor([[[1.0, 0, 0]]]).expand(1, 100, 3)
-    closing = answers(path, torch.tensor([100]), torch.tensor([[0]]), torch.zeros(1, 1, 1, 3), STEP_M).closing(50)
+    closing = answers(path, torch.tensor([[0]]), torch.zeros(1, 1, 1, 3), 50).closing
     left = 47 - torch.arange(50)  # 0.985 m at 0.85 of 2.5 cm a frame
     assert (closing[0, 0, 0, left <= CLOSED_FRAMES] == 1).all()
     assert (closing[0, 0, 0, left >= CLOSED_FRAMES + CLOSING_FRAMES] == 0).all()
     assert (closing[0, 0, 0].diff() >= 0).all()
 
 
-def test_the_first_virtual_palm_is_the_recorded_one_and_the_others_are_near_it_or_its_way():
+def test_the_first_palm_is_the_one_that_was_there_and_the_others_are_near_it_or_the_target():
     torch.manual_seed(0)
-    path, length, window = paths(50), torch.full((50,), 60), torch.full((50,), 8)
-    due, palm = torch.full((50, 2), 20), torch.randn(50, 2, 3) * 0.1
-    palms = virtual_palms(path, length, window, due, palm=palm, step_m=STEP_M)
+    path, due, palm = paths(50), torch.full((50, 2), 20), torch.randn(50, 2, 3) * 0.1
+    palms = Meet(20.0, STEP_M, torch.zeros(15), torch.ones(15)).palms(targets_on(path), due, palm)
     assert torch.equal(palms[:, :, 0], palm)
-    assert 0.01 < (palms[:, :, 1] - palm).norm(dim=-1).median() < 0.15
-    first = answers(path, length, window[:, None], torch.zeros(50, 1, 1, 3), STEP_M).meeting[:, 0]
-    share = (12 * STEP_M / first.norm(dim=-1, keepdim=True)).clamp_max(1)  # (50, 1, 1)
-    assert (palms[:, :, 2] - share * first).norm(dim=-1).median() < 0.15
+    for i, near in ((1, palm), (2, palm), (3, path[:, 20][:, None])):
+        assert 0.01 < (palms[:, :, i] - near).norm(dim=-1).median() < 0.15
+
+
+def test_a_palm_goes_no_farther_than_it_can_and_stops_where_it_should():
+    goals = torch.tensor([[1.0, 0, 0], [0.0, 0.01, 0], [0.0, 0, 0]])
+    reached = stepped(torch.zeros(3, 3), goals, STEP_M)
+    torch.testing.assert_close(reached, torch.tensor([[STEP_M, 0, 0], [0, 0.01, 0], [0, 0, 0]]))
+
+
+def test_two_that_pass_each_other_between_frames_are_as_near_as_they_come():
+    start, end = torch.tensor([[1.0, 0.2, 0], [1.0, 0, 0]]), torch.tensor([[-1.0, 0.2, 0], [2.0, 0, 0]])
+    torch.testing.assert_close(passing_distance(start, end), torch.tensor([0.2, 1.0]), atol=1e-4, rtol=0)
 
 
 @pytest.mark.parametrize("late", [0, 3])
@@ -79,12 +114,12 @@ def test_without_slack_it_agrees_with_the_expert(late: int, monkeypatch: pytest.
     from dynahoi_lerobot.sampling.recipe import Recipe
     from dynahoi_lerobot.sampling.sampler import sample_specs
 
-    monkeypatch.setattr("lerobot_policy_obact.teacher.SLACK_M", 0.0)
+    monkeypatch.setattr("lerobot_policy_obact.teacher.SLACK", 0.0)
     control = CONTROL_CLASSES["late" if late else "standard"]
     for spec in sample_specs(Recipe(control_class=control.name), range(22)):
         path = torch.from_numpy(spec.oracle_path - spec.home_pos_w).float()[None]
         due = spec.window_frames + 2 + late
-        told = answers(path, torch.tensor([path.shape[1]]), torch.tensor([[due]]), torch.zeros(1, 1, 1, 3), STEP_M)
+        told = answers(path, torch.tensor([[due]]), torch.zeros(1, 1, 1, 3))
         waiting = np.concatenate([spec.home_pos_w, spec.reference_joints])
         arrival = earliest_arrival(waiting, spec.reference_joints, spec.oracle_path[due:], PLANNED_SPEED * 0.5, control)
         missed = arrival == len(spec.oracle_path) - due - 1

@@ -1,4 +1,4 @@
-"""Training of the eye on images of random configurations, for `dynahoi pretrain`."""
+"""Training of ObAct's eye on images of random configurations, for `dynahoi pretrain`; imports torch and ObAct."""
 
 import math
 import time
@@ -12,17 +12,16 @@ from typing import Any
 import draccus
 import torch
 from einops import rearrange
+from lerobot_policy_obact.camera import Pinhole
+from lerobot_policy_obact.encoders import Eye
 from safetensors.torch import save_file
 from torch import Tensor
 
+from dynahoi_lerobot.core.conventions import EGO_VIEW
 from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.pretrain.recipe import PretrainRecipe
 from dynahoi_lerobot.pretrain.run_folder import RunFolder
 from dynahoi_lerobot.pretrain.snapshots import ImageStream, Snapshots
-
-from .camera import Pinhole
-from .encoders import Eye
-from .recordings import CARRIED_VIEW
 
 WEIGHTS = "eye.safetensors"
 HEAT_WEIGHT = 0.3
@@ -81,7 +80,7 @@ class Training:
         eye.load_pretrained()
         self._eye = eye.to(recipe.device)
         pose, (focal_px, _, centre_px, _) = images.camera
-        carried = recipe.camera == CARRIED_VIEW
+        carried = recipe.camera == EGO_VIEW
         self._camera = Pinhole.from_pose(pose.tolist(), centre_px / focal_px, carried=carried).to(recipe.device)
         self.optimizer = torch.optim.AdamW(eye.parameters(), lr=0.0, weight_decay=1e-4)
         self.n_updates, self._spent_s = 0, 0.0

@@ -1,14 +1,16 @@
-"""Where the eye sees the target: what environments show under ``environment_state=eye``, to policies of any kind."""
+"""Where ObAct's eye sees the target: what environments show to any policy under ``environment_state=eye``.
+
+This module imports torch and ObAct.
+"""
 
 import numpy as np
 import torch
 from einops import rearrange
+from lerobot_policy_obact.camera import Pinhole
+from lerobot_policy_obact.encoders import Eye
 
 from dynahoi_lerobot.core.features import SIGHTING_AGES
 from dynahoi_lerobot.world.sensors import FrameHistory
-
-from .camera import Pinhole
-from .encoders import Eye
 
 DECIMALS = 4
 """Sightings are rounded to 0.1 mm, below which the last bits of a network differ between processors."""

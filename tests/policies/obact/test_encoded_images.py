@@ -1,0 +1,103 @@
+"""The cache of encoded images: whatever is wrong with it costs a warning and encoding again."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import torch
+from lerobot_policy_obact import ObActConfig, encoded_images
+from lerobot_policy_obact.modeling_obact import ObActModel
+from safetensors.torch import save_file
+
+from tests.checkpoints import FEATURES
+
+LENGTHS = [3, 4]
+
+
+@pytest.fixture
+def encode(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., torch.Tensor]:
+    """Encode the images of a dataset, which are zeros; each call counts in ``encode.calls``."""
+    monkeypatch.setattr(encoded_images, "HF_LEROBOT_HOME", tmp_path)
+    config = ObActConfig(encoder="conv", encoder_options={"channels": 8}, **FEATURES)
+    model, calls = ObActModel(config), []
+
+    def images(meta: object, key: str, episode: int, length: int) -> torch.Tensor:
+        calls.append(episode)
+        return torch.zeros(length, 3, 32, 32)
+
+    monkeypatch.setattr(encoded_images, "_images", images)
+
+    def call(**changes: object) -> torch.Tensor:
+        for name, value in changes.items():
+            setattr(config, name, value)
+        return encoded_images.encoded_images(SimpleNamespace(root=tmp_path / "none"), config, model, LENGTHS)
+
+    call.calls = calls  # pyright: ignore[reportFunctionMemberAccess]
+    return call
+
+
+def cached(folder: Path) -> Path:
+    (file,) = (folder / encoded_images.CACHE).iterdir()
+    return file
+
+
+def test_it_is_read_again_in_full_precision_and_follows_the_umask(encode, tmp_path: Path):
+    before = os.umask(0o027)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        first = encode()
+    os.umask(before)
+    assert first.dtype == torch.float32
+    assert cached(tmp_path).stat().st_mode & 0o777 == 0o640
+    assert encode().equal(first)
+    assert len(encode.calls) == len(LENGTHS)
+
+
+def spoil_type(file: Path) -> None:
+    save_file({"sightings": torch.zeros(7, 1, 69, dtype=torch.float16)}, file)
+
+
+def spoil_size(file: Path) -> None:
+    save_file({"sightings": torch.zeros(6, 1, 69)}, file)
+
+
+def truncate(file: Path) -> None:
+    file.write_bytes(file.read_bytes()[:100])
+
+
+def replace_by_pipe(file: Path) -> None:
+    file.unlink()
+    os.mkfifo(file)
+
+
+def replace_by_folder(file: Path) -> None:
+    file.unlink()
+    file.mkdir()
+
+
+@pytest.mark.parametrize("spoil", [spoil_type, spoil_size, truncate, replace_by_pipe, replace_by_folder])
+def test_a_file_that_is_of_no_use_costs_one_warning(encode, tmp_path: Path, caplog, spoil: Callable[[Path], None]):
+    first = encode()
+    spoil(cached(tmp_path))
+    assert encode().equal(first)
+    assert len(caplog.records) == 1
+    assert len(encode.calls) == 2 * len(LENGTHS)
+
+
+def test_a_file_of_another_user_is_not_believed(encode, monkeypatch: pytest.MonkeyPatch, caplog):
+    encode()
+    monkeypatch.setattr(os, "getuid", lambda: 12345)
+    encode()
+    assert "another user" in caplog.text
+
+
+def test_a_home_that_cannot_be_written_costs_one_warning(encode, tmp_path: Path, caplog):
+    (tmp_path / encoded_images.CACHE).write_text("a file where the folder should be")
+    encode()
+    assert len(caplog.records) == 1
+
+
+def test_it_can_be_switched_off(encode, tmp_path: Path):
+    encode(cache_images=False)
+    assert not (tmp_path / encoded_images.CACHE).exists()
