@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import HAND_DOF, JOINT_NAMES, PALM_DOF
+from dynahoi_lerobot.core.conventions import CONTROL_DT, HAND_DOF, JOINT_NAMES, PALM_DOF
 from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.evaluate.rows import STRATA, Row
 from dynahoi_lerobot.evaluate.summary import Estimate
@@ -295,6 +295,27 @@ def by_travel(entries: Sequence[Entry]) -> Figure | None:
     Figure "Length-stratified performance"; the bins are those of Figure "Data statistics", d.
     """
     return stratified(entries, "travel")
+
+
+@figure("time-to-catch", "Time to the catch")
+def time_to_catch(entries: Sequence[Entry]) -> Figure:
+    """The share of episodes in which the target has been localised by a time after the control start [s]."""
+    drawing, (panel,) = subplots(1, 1, 3.0)
+    for entry in entries:
+        rows = entry.results.rows
+        waits = [
+            (row["first_localized"] - row["window_frames"]) * CONTROL_DT
+            for row in rows
+            if row["first_localized"] is not None
+        ]
+        share = 100 * np.arange(len(waits) + 1) / len(rows)
+        longest = max(row["length_frames"] for row in rows) * CONTROL_DT
+        panel.step([0, *sorted(waits), longest], [*share, share[-1]], where="post", color=entry.colour)
+    panel.set_xlabel("time since the control start [s]")
+    panel.set_ylabel("localised [%]")
+    panel.set_ylim(0, 100)
+    legend(drawing, legend_items(entries))
+    return drawing
 
 
 FINGERS_AT_LEAST = {"loose": 3, "medium": 4, "strict": 5}
