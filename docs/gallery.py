@@ -43,7 +43,8 @@ def catch() -> None:
 def contact() -> None:
     """Draw what ObAct grips and what it only touches, side by side."""
     recipe = Recipe(split="test", capture="contact", image_size=PLAYED_PX, views=("side",))
-    episodes = played("outputs/obact_contact/checkpoints/last/pretrained_model", recipe, [*HELD, TOUCHED], HELD_PX, noise=0)
+    checkpoint = "outputs/obact_contact/checkpoints/last/pretrained_model"
+    episodes = played(checkpoint, recipe, [*HELD, TOUCHED], HELD_PX, noise=0)
     write_gif(IMAGES / "held.gif", side_by_side(episodes), fps=CONTROL_HZ / SKIP)
 
 

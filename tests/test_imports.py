@@ -14,7 +14,7 @@ PACKAGE = Path(dynahoi_lerobot.__file__).parent
 ROOMS = (
     "core", "objects", "motions", "hands", "metrics", "scene", "renderers", "captures", "experts", "sampling",
     "world", "rollout", "env", "dataset", "verify", "vlm", "evaluate", "generate", "pretrain", "hub", "report",
-    "doctor", "cli",
+    "play", "doctor", "cli",
 )  # fmt: skip
 """Folders and modules of the package, in the order in which they may import each other: each only those before it."""
 LEARNED = ("dynahoi_lerobot.pretrain.eye_training", "dynahoi_lerobot.world.detector")

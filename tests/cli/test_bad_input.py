@@ -12,8 +12,8 @@ from dynahoi_lerobot.cli import main as cli
 GENERATE = "generate --root made --episodes 1 --motions constant"
 CASES = [
     ("dance", "dynahoi: command: invalid choice: 'dance'"),
-    ("report nowhere", "nowhere; run `dynahoi evaluate`"),
-    ("report recipe.yaml", "recipe.yaml; run `dynahoi evaluate` with this folder"),
+    ("report nowhere", "nowhere holds no results: metrics.json is missing"),
+    ("report recipe.yaml", "recipe.yaml holds no results"),
     ("evaluate --policy expertt", "there is no policy 'expertt'"),
     ("evaluate --policy hold --split exam", "unknown split 'exam'; known: train, val, test"),
     ("evaluate --policy hold --episodes 0", "must be 1 to 110, all of split test_small; got 0"),
@@ -36,7 +36,7 @@ CASES = [
     ("view --motion lob --out x.avi", "cannot write '.avi'; use .gif, .mp4, .html"),
     ("view --motion lob --seed 46", "has 45 episodes of motion 'lob', so --seed must be 0 to 44"),
     (f"view --motion lob --seed {2**40}", f"a whole number from 0 to {2**40 - 1}, got {2**40}"),
-    ("view --results nowhere --out x.gif", "there is no result folder nowhere"),
+    ("view --results nowhere --out x.gif", "nowhere holds no results"),
     ("view --dataset DATASET --sample 1 --out x.gif", "--out must end in .html, got x.gif"),
     ("view --dataset DATASET --sample 1 --view side --out x.html", "has no view 'side'"),
     ("view --dataset DATASET --episode 6 --out x.gif", "--episode must be 0 to 5, got 6"),

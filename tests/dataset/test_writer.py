@@ -10,9 +10,8 @@ import pytest
 import yaml
 
 from dynahoi_lerobot.cli.main import main
-from dynahoi_lerobot.core.conventions import HAND_NAMES
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.features import CAMERA_KEY, FEATURES, episode_features
+from dynahoi_lerobot.core.features import CAMERA_KEY, COMMAND_NAMES, FEATURES, episode_features
 from dynahoi_lerobot.dataset import episode_column, frame_column, open_dataset, read_episodes, write_episodes
 from dynahoi_lerobot.dataset.card import histogram_svg
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
@@ -267,6 +266,6 @@ def test_its_card_counts_and_describes_what_is_there(dataset: Path):
     for key in [*Store(dataset).features, *(feature.key for feature in episode_features())]:
         assert f"| `{key}` |" in card
     drawing = (dataset / "assets/action.svg").read_text()
-    assert all(f">{name}<" in drawing for name in HAND_NAMES), "every dimension has a panel"
-    assert drawing.count("V16.0h") >= len(HAND_NAMES), "its tallest bar fills each"
+    assert all(f">{name}<" in drawing for name in COMMAND_NAMES), "every dimension has a panel"
+    assert drawing.count("V16.0h") >= len(COMMAND_NAMES), "its tallest bar fills each"
     assert "V16.0h" in histogram_svg(np.full((3, 1), 2.0), ["still"])

@@ -25,10 +25,10 @@ CHECKPOINT = str(SHIPPED)
 
 def test_settings_change_the_config_and_nothing_else() -> None:
     plain = PolicyAgent(CHECKPOINT)._policy.config
-    changed = PolicyAgent(CHECKPOINT, settings=["n_action_steps=2", "delay_frames=3"])._policy.config
-    assert (plain.n_action_steps, plain.delay_frames) == (1, 0)
-    assert (changed.n_action_steps, changed.delay_frames) == (2, 3)
-    assert {**changed.__dict__, "n_action_steps": 1, "delay_frames": 0} == plain.__dict__
+    changed = PolicyAgent(CHECKPOINT, settings=["n_action_steps=2", "noise_seed=3"])._policy.config
+    assert (plain.n_action_steps, plain.noise_seed) == (1, 0)
+    assert (changed.n_action_steps, changed.noise_seed) == (2, 3)
+    assert {**changed.__dict__, "n_action_steps": 1, "noise_seed": 0} == plain.__dict__
 
 
 def test_results_say_which_weights_they_are_of(tmp_path: Path) -> None:
@@ -74,10 +74,10 @@ def test_guidance_continues_what_is_left_of_a_chunk_or_where_it_led(specs, monke
 @pytest.mark.parametrize(
     ("setting", "sentence"),
     [
-        ("delay=3", "cannot set 'delay=3': must be KEY=VALUE, KEY one of .*delay_frames"),
-        ("delay_frames", "cannot set 'delay_frames': must be KEY=VALUE"),
+        ("delay=3", "cannot set 'delay=3': must be KEY=VALUE, KEY one of .*noise_seed"),
+        ("noise_seed", "cannot set 'noise_seed': must be KEY=VALUE"),
         ("n_action_steps=9", "cannot set n_action_steps=9: n_action_steps is 9, but must be 1 to 8"),
-        ("delay_frames=few", "cannot set delay_frames=few: .*'few'"),
+        ("noise_seed=few", "cannot set noise_seed=few: .*'few'"),
     ],
 )
 def test_what_cannot_be_set_is_said(setting: str, sentence: str) -> None:

@@ -12,7 +12,7 @@ from dynahoi_lerobot.verify.command import verify
 from dynahoi_lerobot.verify.filter import find_outliers
 from tests.dataset.episodes import changed, varied_episode
 
-SENTENCE = "episode 7: action.thumb_tip reaches 2.200, outside -0.500 to 1.500 in 1 frame"
+SENTENCE = "episode 7: action.thumb_tip.pos reaches 2.200, outside -0.500 to 1.500 in 1 frame"
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def write_with_nan(root: Path, episodes: int) -> Path:
 def test_nan_is_an_outlier(tmp_path):
     ((episode, sentence),) = find_outliers(write_with_nan(tmp_path / "d", episodes=6)).items()
     assert episode == 1
-    assert "action.palm_z reaches nan" in sentence
+    assert "action.palm_z.pos reaches nan" in sentence
 
 
 def test_a_column_without_a_robust_range_is_refused(tmp_path, capsys):
