@@ -42,6 +42,8 @@ EXACT = 1e-9
 IMAGE_LEVELS = {"mean": 4, "std": 8, "q10": 24, "q50": 24, "q90": 24, "q01": 48, "q99": 48, "min": 96, "max": 96}
 """How far statistics of images before they were encoded may lie from those of the decoded ones [levels of 255], with
 crf 23 or less; the greatest seen are 1.7, 3.6, 10, 12, 6, 31, 14, 27 and 54. Video halves the resolution of colours."""
+SEGMENTATION = "_segmentation"
+"""How views of flat colours end."""
 CRF, CRF_DOUBLES = 23, 12
 """Beyond this crf, this many steps double what is allowed (seen with crf 51: 7.8 for the mean, 17 for std)."""
 
@@ -129,6 +131,8 @@ class _Again(DatasetWriter):
         key, _, statistic = column.removeprefix("stats/").rpartition("/")
         if key not in self._image_stats or not self._encoding.is_video:
             return 0.0
+        if key.endswith(SEGMENTATION) and statistic not in ("mean", "std"):
+            return 1.0  # among few flat colours a quantile jumps from one to the next
         doubled = max(0, self._encoding.crf - CRF) / CRF_DOUBLES
         return IMAGE_LEVELS.get(statistic, 0) / 255 * 2**doubled
 

@@ -157,9 +157,8 @@ def test_on_the_contact_track_it_learns_to_close_and_to_hold(contact_root, tmp_p
         ({"virtual_share": 0.0}, "forecast"),
         ({"virtual_share": 1.0}, "forecast"),
         ({"forecast_weight": 0.0}, "action"),
-        ({"virtual_share": 1.0}, "closed_loop"),
     ],
-    ids=["recorded", "virtual", "actions alone", "closed loop"],
+    ids=["recorded", "virtual", "actions alone"],
 )
 def test_the_loss_falls(changes, falls, hand_root, tmp_path, monkeypatch):
     monkeypatch.setattr("lerobot_policy_obact.encoded_images.HF_LEROBOT_HOME", tmp_path)
