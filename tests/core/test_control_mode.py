@@ -45,7 +45,7 @@ def test_labels_of_both_modes_are_the_same_goals():
         told = from_grasp(grasp.action, grasp.state, *poses)
         np.testing.assert_allclose(told[:, :3], joints.action[:, :3], atol=1e-5)
         # one number cannot say by how much each joint stays within the reference grasp of a thin or thick object
-        np.testing.assert_allclose(told[:, 3:], joints.action[:, 3:], atol=0.01)
+        np.testing.assert_allclose(told[:, 3:], joints.action[:, 3:], atol=0.04)
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,7 @@ def test_an_agent_that_gives_them_catches():
     (again,) = evaluate(WorldBatch(RECIPE, 1), Reaching(episode.action), sample_specs(RECIPE, [0]))
     assert again.success
     np.testing.assert_allclose(again.state[:, :3], episode.state[:, :3], atol=1e-4)
-    np.testing.assert_allclose(again.state[:, 3:], episode.state[:, 3:], atol=0.01)
+    np.testing.assert_allclose(again.state[:, 3:], episode.state[:, 3:], atol=0.04)
 
 
 def test_environments_take_four_numbers():

@@ -203,11 +203,12 @@ def check_first_hour(folder: Path) -> None:
 GROUPS: dict[str, tuple[Callable[[Path], None] | None, Callable[[Path], None]]] = {
     "generate.md dataset.md lerobot.md": (before_data, check_data),
     "train.md evaluate.md policies.md contact.md benchmark.md": (None, check_results),
-    "README.md quickstart.md environment.md install.md extend.md": (before_first_hour, check_first_hour),
+    "README.md quickstart.md environment.md install.md extend.md play.md": (before_first_hour, check_first_hour),
 }
 """Pages that are played one after the other in one folder; what is done before, and what is checked afterwards."""
 REASONS: dict[str, Callable[[], bool]] = {
     "needs FFmpeg's libraries": lambda: not _torchcodec_works(),
+    "waits for a person or the clock": lambda: True,
     "needs the file above in the checkout; tests/docs/test_worked_example.py does that in a copy": lambda: True,
 }
 """Why a block is not run, and whether that holds here."""

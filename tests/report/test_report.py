@@ -22,7 +22,7 @@ from tests.report.example_runs import example_run
 
 HOSTILE = "<script>alert('x')</script><img src=https://evil.example/a.png onerror=alert(1)>\"&{{ 7*7 }} $x^{"
 FIGURES = {figure.name: figure for figure in figures.FIGURES}
-ALWAYS = {"main", "stages", "per-frame-grasp", "data", "joint-deltas", "palm-displacements"}
+ALWAYS = {"main", "stages", "time-to-catch", "per-frame-grasp", "data", "joint-deltas", "palm-displacements"}
 
 
 @pytest.fixture(scope="module")
@@ -208,7 +208,7 @@ class Page(HTMLParser):
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("runs")
     example_run(root / "expert", "expert", 1.0, 22)
-    odd = {"recipe": 7, "note": "<b>", "number": 10**15}
+    odd = {"note": "<b>", "number": 10**15}
     example_run(root / "hostile", HOSTILE, 0.4, 22, command=f"dynahoi evaluate --policy '{HOSTILE}'", **odd)
     for index in range(2):
         write_gif(root / "expert" / f"clip_{index}.gif", np.full((3, 8, 8, 3), 90 * index, np.uint8))

@@ -19,6 +19,7 @@ def export(checkpoint: Path, out: Path) -> None:
     """
     policy = ObActPolicy.from_pretrained(checkpoint)
     policy.keep_average()
+    policy.config.pretrained_path = None  # a place on this machine
     policy.save_pretrained(out)
     for processor in make_pre_post_processors(policy.config, pretrained_path=str(checkpoint)):
         processor.save_pretrained(out)
