@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stderr, redirect_stdout, suppress
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TextIO, cast
 
 from dynahoi_lerobot import __version__
 from dynahoi_lerobot.core.arguments import CommandError
@@ -79,7 +79,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def exit_code(spoken: str, run: Callable[[], int]) -> int:
     """Return the exit code of ``run``, or print in one sentence, after what was ``spoken``, what stopped it."""
-    with redirect_stdout(Terminal(sys.stdout)), redirect_stderr(Terminal(sys.stderr)):
+    out, err = (cast("TextIO", Terminal(stream)) for stream in (sys.stdout, sys.stderr))
+    with redirect_stdout(out), redirect_stderr(err):
         return _exit_code(spoken, run)
 
 

@@ -109,7 +109,7 @@ def _sample(args: argparse.Namespace) -> int:
     if args.out.suffix != ".html":
         raise ValueError(f"--sample writes a web page, so --out must end in .html, got {args.out}")
     dataset = open_dataset(args.dataset)
-    if "motion" not in dataset.meta.episodes.column_names:
+    if dataset.meta.episodes is None or "motion" not in dataset.meta.episodes.column_names:
         raise ValueError(
             f"{args.dataset} does not name the motions of its episodes, so there is nothing to stratify by"
         )

@@ -198,4 +198,4 @@ def in_reference_grasp(joints: np.ndarray, open_joints: np.ndarray, reference: n
     wanted = np.abs(reference - open_joints)
     beyond = np.abs(joints - open_joints) > LARGEST_GRASP_FRACTION * wanted + 1e-6
     matches = joints_reached(joints, open_joints, reference) & ~beyond
-    return (matches | (wanted <= 1e-6)).all(axis=-1)
+    return np.asarray((matches | (wanted <= 1e-6)).all(axis=-1))

@@ -276,13 +276,13 @@ def _read_head(path: Path) -> dict[str, Any]:
 
 def _write_rows(path: Path, rows: Sequence[Row]) -> None:
     import pyarrow as pa
-    import pyarrow.json
+    import pyarrow.json as pj
     import pyarrow.parquet as pq
 
     # arrow takes Python's lists through pandas, whose import takes longer than an episode
     lines = "\n".join(map(json.dumps, rows)).encode()
-    options = pa.json.ParseOptions(explicit_schema=pa.schema(COLUMNS), unexpected_field_behavior="ignore")
-    pq.write_table(pa.json.read_json(io.BytesIO(lines), parse_options=options), path, compression="none")
+    options = pj.ParseOptions(explicit_schema=pa.schema(COLUMNS), unexpected_field_behavior="ignore")
+    pq.write_table(pj.read_json(io.BytesIO(lines), parse_options=options), path, compression="none")
 
 
 def _read_rows(path: Path) -> list[Row]:

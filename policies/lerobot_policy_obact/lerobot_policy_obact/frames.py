@@ -61,8 +61,10 @@ class Frames(Record):
         middles = (self.time_s[1:] + self.time_s[:-1]) / 2
         index = torch.searchsorted(middles, wanted.contiguous(), right=True)
         batch = torch.arange(len(rows), device=rows.device)[:, None, None]
-        held = (x[batch, index].flatten(0, 1) for x in (self.sightings, self.state))
-        return Frames(*held, torch.where(wanted[0, 0] < self.time_s[0], wanted[0, 0], self.time_s[index[0, 0]]))
+        sightings, state = (x[batch, index].flatten(0, 1) for x in (self.sightings, self.state))
+        return Frames(
+            sightings, state, torch.where(wanted[0, 0] < self.time_s[0], wanted[0, 0], self.time_s[index[0, 0]])
+        )
 
 
 def palm_of(state: Tensor) -> Tensor:
@@ -90,7 +92,7 @@ class History:
         self._frames.append(frame)
         while frame.time_s - self._frames[0].time_s > model.config.ages_s[0] + 1 / model.config.rig.fps:
             self._frames.popleft()
-        held = ([getattr(x, name) for x in self._frames] for name in ("sightings", "state"))
+        sightings, state = (torch.cat([getattr(x, name) for x in self._frames], 1) for name in ("sightings", "state"))
         time_s = torch.cat([x.time_s for x in self._frames])
-        seen = Frames(*(torch.cat(tensors, dim=1) for tensors in held), time_s)
+        seen = Frames(sightings, state, time_s)
         return model.encode_history(seen, row + len(time_s) - 1)

@@ -78,8 +78,8 @@ class Recordings:
         ahead = torch.arange(int(count.max()))
         index = self.first[chosen, None] + torch.minimum(ahead, count[:, None] - 1)
         targets = None if self.targets is None else self.targets.of(chosen)
-        columns = (x[index] for x in (self.sightings, self.state, self.actions))
-        return Episodes(*columns, count, self.window[chosen], self.fps, targets)
+        sightings, state, actions = (x[index] for x in (self.sightings, self.state, self.actions))
+        return Episodes(sightings, state, actions, count, self.window[chosen], self.fps, targets)
 
     def draw(self, n: int) -> Tensor:
         """Draw n episodes of similar length that may be learned from."""

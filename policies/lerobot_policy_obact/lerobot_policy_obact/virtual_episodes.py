@@ -80,8 +80,8 @@ class VirtualEpisodes:
         rows = similar(torch.randperm(len(pool.count))[: n * SPREAD], pool.count, n)
         t, targets = int(pool.count[rows].max()), pool.targets
         assert targets is not None
-        columns = (x[rows, :t] for x in (pool.sightings, pool.state, pool.actions))
-        return Episodes(*columns, pool.count[rows], pool.window[rows], pool.fps, targets.of(rows))
+        sightings, state, actions = (x[rows, :t] for x in (pool.sightings, pool.state, pool.actions))
+        return Episodes(sightings, state, actions, pool.count[rows], pool.window[rows], pool.fps, targets.of(rows))
 
     @torch.no_grad()
     def _play(self, known: Tensor, n: int, model: ObActModel) -> Episodes:
