@@ -120,7 +120,7 @@ def test_the_fingerprint_changes_with_the_recipe():
 
 
 PACKAGE = Path(dynahoi_lerobot.__file__).parent
-READING = ("cli", "env", "evaluate", "metrics", "pretrain", "report", "verify", "vlm")
+READING = ("cli", "env", "evaluate", "metrics", "pretrain", "report", "verify", "vlm", "play")
 """Rooms that decide no byte of a dataset; of ``generate`` some modules do."""
 
 
