@@ -30,7 +30,27 @@ PAUSE_S = 0.25
 logger = logging.getLogger(__name__)
 
 
-class DynahoiRobot(Robot):
+class _Simulated:
+    """What the robot and its teleoperator share: the numbers of a command, and nothing to calibrate."""
+
+    @property
+    def action_features(self) -> dict[str, type]:
+        """Names of a command's numbers."""
+        return dict.fromkeys(NAMES, float)
+
+    @property
+    def is_calibrated(self) -> bool:
+        """True: a simulated hand needs no calibration."""
+        return True
+
+    def calibrate(self) -> None:
+        """Do nothing."""
+
+    def configure(self) -> None:
+        """Do nothing."""
+
+
+class DynahoiRobot(_Simulated, Robot):
     """One hand and one moving object; the palm's centre [m], home frame, and 15 joint angles [rad] end in ``.pos``.
 
     An episode begins with the first action after it was laid out; when it is over the world stands still. The next one
@@ -65,25 +85,9 @@ class DynahoiRobot(Robot):
         return {**self.action_features, **self.cameras}
 
     @property
-    def action_features(self) -> dict[str, type]:
-        """Names of a command's numbers."""
-        return dict.fromkeys(NAMES, float)
-
-    @property
     def is_connected(self) -> bool:
         """Whether the world exists."""
         return self.world is not None
-
-    @property
-    def is_calibrated(self) -> bool:
-        """True: a simulated hand needs no calibration."""
-        return True
-
-    def calibrate(self) -> None:
-        """Do nothing."""
-
-    def configure(self) -> None:
-        """Do nothing."""
 
     def connect(self, calibrate: bool = True) -> None:
         """Make the world and lay out the first episode."""
@@ -161,7 +165,7 @@ class DynahoiRobot(Robot):
         return Results(self.config.results_dir or self.calibration_dir, info)
 
 
-class DynahoiExpert(Teleoperator):
+class DynahoiExpert(_Simulated, Teleoperator):
     """The expert, which knows the target's path, moves the robot that this process has connected."""
 
     config_class = DynahoiExpertConfig
@@ -173,11 +177,6 @@ class DynahoiExpert(Teleoperator):
         self._connected = False
 
     @property
-    def action_features(self) -> dict[str, type]:
-        """Names of a command's numbers."""
-        return dict.fromkeys(NAMES, float)
-
-    @property
     def feedback_features(self) -> dict[str, type]:
         """None."""
         return {}
@@ -186,17 +185,6 @@ class DynahoiExpert(Teleoperator):
     def is_connected(self) -> bool:
         """Whether ``connect`` was called."""
         return self._connected
-
-    @property
-    def is_calibrated(self) -> bool:
-        """True: there is nothing to calibrate."""
-        return True
-
-    def calibrate(self) -> None:
-        """Do nothing."""
-
-    def configure(self) -> None:
-        """Do nothing."""
 
     def connect(self, calibrate: bool = True) -> None:
         """Begin to answer."""
