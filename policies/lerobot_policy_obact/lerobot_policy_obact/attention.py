@@ -17,13 +17,10 @@ MEMORY_FRAMES = 200
 
 
 class SpatialAttention(nn.Module):
-    """Where in the image: a learned query attends to the cells, and the values are their viewing rays.
+    """Where in the image: a learned query attends to cells of ``dim`` features, whose values are their viewing rays.
 
-    A mean over the whole map would look between two things that may be the target, so only cells around the peak count.
-
-    Args:
-        dim: size of a cell's features.
-        reach: cells on each side of the peak that count.
+    A mean over the whole map would look between two things that may be the target, so only ``reach`` cells on each side
+    of the peak count.
     """
 
     def __init__(self, dim: int, reach: int = 2) -> None:
@@ -31,10 +28,7 @@ class SpatialAttention(nn.Module):
         self.query, self.reach = nn.Linear(dim, 1), reach
 
     def forward(self, cells: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Attend to the cells of F images.
-
-        Args:
-            cells: features, shape ``(F, h, w, D)``, rows downwards.
+        """Attend to cells ``(F, h, w, D)``, rows downwards.
 
         Returns:
             The ray (u to the right, v upwards, the image spans -1 to 1), ``(F, 2)``; the features there, ``(F, D)``;
@@ -58,30 +52,37 @@ def cell_rays(height: int, width: int, device: torch.device) -> Tensor:
 
 
 class Memory:
-    """What attention keeps of the frames before, so that frames may come one at a time, or many at once."""
+    """What attention keeps of the frames before, so that frames may come a few at a time; without gradients."""
 
     def __init__(self) -> None:
-        self._kept: dict[object, Tensor] = {}
+        self._kept: dict[object, tuple[Tensor, int]] = {}
 
     def extended(self, owner: object, new: Tensor, dim: int) -> Tensor:
-        """Return what was kept for ``owner`` and, along ``dim``, what is new; that is kept for the next time."""
-        if (kept := self._kept.get(owner)) is not None:
-            kept = kept.narrow(dim, max(0, kept.shape[dim] - MEMORY_FRAMES), min(kept.shape[dim], MEMORY_FRAMES))
-            new = torch.cat([kept, new], dim)
-        self._kept[owner] = new
-        return new
+        """Return what was kept for ``owner`` and, along ``dim``, what is new; that is kept for the next time.
+
+        Views of a buffer that doubles are handed out: to copy all that is kept for every frame would cost more than to
+        attend to it. If fewer rows of the batch come than before, the last ones are over.
+        """
+        buffer, n = self._kept.get(owner, (new, 0))
+        buffer = buffer[: len(new)] if dim else buffer
+        end = n + new.shape[dim]
+        if end > buffer.shape[dim]:
+            kept = buffer.narrow(dim, max(0, n - MEMORY_FRAMES), min(n, MEMORY_FRAMES))
+            n, end = kept.shape[dim], kept.shape[dim] + new.shape[dim]
+            buffer = torch.cat([kept, new, kept, new], dim)  # the second half is room to grow
+        elif n:
+            buffer.narrow(dim, n, end - n).copy_(new)
+        self._kept[owner] = buffer, end
+        start = max(0, n - MEMORY_FRAMES)
+        return buffer.narrow(dim, start, end - start)
 
     def first(self, owner: object, new: Tensor) -> Tensor:
         """Return what was given for ``owner`` the first time."""
-        return self._kept.setdefault(owner, new)
+        return self._kept.setdefault(owner, (new, 0))[0][: len(new)]
 
 
 class AgeBias(nn.Module):
-    """A bias on attention logits by the age of a frame; minus infinity for frames that lie ahead.
-
-    Args:
-        n_heads: one bias each.
-    """
+    """A bias on the attention logits of each head by the age of a frame; minus infinity for frames that lie ahead."""
 
     def __init__(self, n_heads: int) -> None:
         super().__init__()
@@ -98,12 +99,7 @@ class AgeBias(nn.Module):
 
 
 class TemporalBlock(nn.Module):
-    """Causal self-attention over frames and a perceptron, each after a normalisation.
-
-    Args:
-        dim: size of a token.
-        n_heads: attention heads.
-    """
+    """Causal self-attention over frames and a perceptron, each after a normalisation; tokens are of size ``dim``."""
 
     def __init__(self, dim: int, n_heads: int) -> None:
         super().__init__()
@@ -124,9 +120,7 @@ class TemporalBlock(nn.Module):
 class PositionReadout(nn.Module):
     """Attentions of a decision over the frames before it, whose values are the positions sighted in them.
 
-    Args:
-        dim: size of a token.
-        n_points: how many; the first is the anchor from which the others count.
+    There are ``n_points``; the first is the anchor from which the others count.
     """
 
     def __init__(self, dim: int, n_points: int) -> None:
@@ -152,7 +146,7 @@ class PositionReadout(nn.Module):
         keys, positions = memory.extended(self, self.key(tokens), 1), memory.extended((self, "positions"), positions, 1)
         chosen = repeat(rows, "b q -> b q d", d=tokens.shape[-1])
         queries = rearrange(self.query(tokens.gather(1, chosen)), "b q (j d) -> b q j d", j=self.n_points)
-        bias = rearrange(self.bias(age_s), "j t s -> t j s")[rows]  # (B, Q, J, S)
+        bias = rearrange(self.bias(age_s), "j t s -> t j s").index_select(0, rows.flatten()).unflatten(0, rows.shape)
         logits = einsum(queries, keys, "b q j d, b s d -> b q j s") / KEY_DIM**0.5
         weights = (logits + bias).softmax(-1)
         return einsum(weights, positions, "b q j s, b s i -> b q j i"), weights

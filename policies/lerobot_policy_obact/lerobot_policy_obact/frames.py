@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Self
@@ -79,20 +78,24 @@ def stepped(palm: Tensor, goal: Tensor, step_m: float) -> Tensor:
 
 
 class History:
-    """Frames that come one at a time, of which a model sees as many as its config says."""
+    """Frames that come a few at a time, of which a model sees as many as its config says."""
 
     def __init__(self) -> None:
-        self._memory, self._frames = Memory(), deque[Frames]()
+        self._memory = Memory()
+        self._frames: Frames | None = None
 
-    def see(self, model: ObActModel, frame: Frames) -> Outlook:
-        """Return what a decision at a new frame, of ``(B, 1)``, believes."""
-        row = torch.zeros(len(frame.state), 1, dtype=torch.long, device=frame.state.device)
-        if model.config.n_obs_frames is None:
-            return model.encode_history(frame, row, self._memory)
-        self._frames.append(frame)
-        while frame.time_s - self._frames[0].time_s > model.config.ages_s[0] + 1 / model.config.rig.fps:
-            self._frames.popleft()
-        sightings, state = (torch.cat([getattr(x, name) for x in self._frames], 1) for name in ("sightings", "state"))
-        time_s = torch.cat([x.time_s for x in self._frames])
-        seen = Frames(sightings, state, time_s)
-        return model.encode_history(seen, row + len(time_s) - 1)
+    def see(self, model: ObActModel, frames: Frames) -> Outlook:
+        """Return what a decision at the last of new frames, of ``(B, T)``, believes; later, B may be smaller."""
+        if model.config.n_obs_frames is not None:
+            if (kept := self._frames) is not None:
+                n = len(frames.state)
+                frames = Frames(
+                    torch.cat([kept.sightings[:n], frames.sightings], 1),
+                    torch.cat([kept.state[:n], frames.state], 1),
+                    torch.cat([kept.time_s, frames.time_s]),
+                )
+            recent = frames.time_s[-1] - frames.time_s <= model.config.ages_s[0] + 1 / model.config.rig.fps
+            frames = self._frames = Frames(frames.sightings[:, recent], frames.state[:, recent], frames.time_s[recent])
+        n, t = frames.state.shape[:2]
+        row = torch.full((n, 1), t - 1, device=frames.state.device)
+        return model.encode_history(frames, row, self._memory)

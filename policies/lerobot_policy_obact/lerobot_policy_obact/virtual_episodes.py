@@ -86,35 +86,40 @@ class VirtualEpisodes:
 
     @torch.no_grad()
     def _play(self, known: Tensor, n: int, model: ObActModel) -> Episodes:
-        """Return n episodes with targets of ``known`` ones."""
+        """Return n episodes with targets of ``known`` ones, the longest first, so that the last rows are over first."""
         chosen = known[torch.randint(len(known), (n,))]
-        targets, window, teacher = self.targets.of(chosen), self.recordings.window[chosen], self.teacher
+        chosen = chosen[self.targets.length[chosen].argsort(descending=True)]
+        everyone, window, teacher = self.targets.of(chosen), self.recordings.window[chosen], self.teacher
+        length = everyone.length.clamp_max(LONGEST_FRAMES)
         hands = _Hands(n, teacher, model)
         frames = [errors.of_any(n, known) for errors in self.errors]
-        states, sightings, batch = [], [], torch.arange(n)
-        length = targets.length.clamp_max(LONGEST_FRAMES)
-        for t in range(int(length.max())):
-            place = targets.carried[batch, (targets.length - 1).clamp_max(t)]
-            states.append(self._state(hands))
-            closed, looks = self._closed(states[-1])[:, None], []
+        sightings = torch.zeros(n, int(length[0]), len(self.cameras), N_SIGHTING)
+        state = torch.zeros(n, len(sightings[0]), self.recordings.state.shape[-1])
+        time_s, thought = torch.arange(len(sightings[0])) / self.recordings.fps, 0
+        for t in range(len(time_s)):
+            m = int((length > t).sum())
+            targets, acting = everyone.of(slice(m)), window[:m] <= t
+            hands.keep(m)
+            state[:m, t] = self._state(hands)
+            closed = self._closed(state[:m, t])[:, None]
             for i, (errors, cam) in enumerate(zip(self.errors, self.cameras, strict=True)):
-                true = torch.cat([cam.seen(place - cam.origin(hands.palm)), closed], dim=-1)
-                frames[i] = errors.next(frames[i], true, self.recordings)
-                looks.append(errors.applied(frames[i], true))
-            sightings.append(torch.stack(looks, dim=1))
+                true = torch.cat([cam.seen(targets.carried[:, t] - cam.origin(hands.palm)), closed], dim=-1)
+                frames[i] = errors.next(frames[i][:m], true, self.recordings)
+                sightings[:m, t, i] = errors.applied(frames[i], true)
             before = hands.palm
-            time_s = torch.tensor([t / self.recordings.fps])
-            hands.move(Frames(sightings[-1][:, None], states[-1][:, None], time_s), targets, t, window)
-            caught = teacher.caught(targets, t, before, hands.palm, hands.closed > 0.5) & (window <= t)
+            if acting.any():  # the frames in which all hands wait are thought about at once
+                new = slice(thought, t + 1)
+                hands.move(Frames(sightings[:m, new], state[:m, new], time_s[new]), targets, t, window[:m])
+                thought = t + 1
+            caught = teacher.caught(targets, t, before, hands.palm, hands.closed > 0.5) & acting
             targets.held[caught & (targets.held == NEVER)] = t + 1
             if teacher.carries and t + 1 < targets.carried.shape[1]:
                 carried = targets.carried[:, t] + hands.palm - before
                 held = targets.held <= t
                 targets.carried[:, t + 1] = torch.where(held[:, None], carried, targets.carried[:, t + 1])
-        targets.free.copy_(torch.minimum(length, targets.held + (HELD_FRAMES if teacher.carries else 0)))
-        actions = torch.empty(n, len(states), 0)
-        seen, state = torch.stack(sightings, 1), torch.stack(states, 1)
-        return Episodes(seen, state, actions, length, window, self.recordings.fps, targets)
+        everyone.free.copy_(torch.minimum(length, everyone.held + (HELD_FRAMES if teacher.carries else 0)))
+        actions = torch.empty(n, len(time_s), 0)
+        return Episodes(sightings, state, actions, length, window, self.recordings.fps, everyone)
 
     def _closed(self, state: Tensor) -> Tensor:
         """Return how far hands in states ``(..., S)`` are closed, ``(...)``; 0 where they hide nothing in the end."""
@@ -139,16 +144,22 @@ class _Hands:
         self.spread_m = SPREAD_M * torch.rand(n, 1) ** 1.5 * (torch.rand(n, 1) < PUSHED_SHARE)
         self.coming: deque[tuple[Tensor, Tensor]] = deque()
 
-    def move(self, frame: Frames, targets: Targets, t: int, window: Tensor) -> None:
-        """Move the hands by a frame, from what they saw in frame ``t``."""
+    def keep(self, m: int) -> None:
+        """Go on with the first ``m`` hands."""
+        self.palm, self.closed, self.led = self.palm[:m], self.closed[:m], self.led[:m]
+        self.offset, self.spread_m = self.offset[:m], self.spread_m[:m]
+        self.coming = deque((goal[:m], closed[:m]) for goal, closed in self.coming)
+
+    def move(self, seen: Frames, targets: Targets, t: int, window: Tensor) -> None:
+        """Move the hands by a frame, from what they saw in the frames up to ``t`` since they were moved last."""
         rig, teacher, device = self.model.config.rig, self.teacher, self.model.device
         due, late = self.palm, rig.delay_frames
         for goal, _ in self.coming:
             due = stepped(due, goal, rig.step_m)
         frame_due = (targets.length - 2).clamp_max(t + late)[:, None]
         told = teacher.answer(targets, frame_due, due[:, None, None], 1)
-        outlook = self.history.see(self.model, frame.to(device))
-        action = self.model.act_once(outlook.at(0), due.to(device), frame.state[:, 0].to(device)).cpu()
+        outlook = self.history.see(self.model, seen.to(device))
+        action = self.model.act_once(outlook.at(0), due.to(device), seen.state[:, -1].to(device)).cpu()
         closed = teacher.closed_share(action[:, 3:])
         goal = torch.where(self.led[:, None], action[:, :3], told.goal[:, 0, 0, 0])
         closed = torch.where(self.led, closed, told.closing[:, 0, 0, 0]).clamp(0, 1)
@@ -178,6 +189,9 @@ class SightingErrors:
     episode: Tensor
     usable: Tensor
 
+    def __post_init__(self) -> None:
+        self._shown = _in_view(self.true)
+
     def of_any(self, n: int, known: Tensor) -> Tensor:
         """Draw n usable frames of ``known`` episodes."""
         frames = (torch.isin(self.episode, known) & self.usable).nonzero()[:, 0]
@@ -189,17 +203,15 @@ class SightingErrors:
 
         That is the frame that was recorded next, if it is near enough; else one of the same episode; else any.
         """
+        n, episode = len(frame), self.episode[frame]
         follower = (frame + 1).clamp_max(len(self.episode) - 1)
-        follows = self.usable[follower] & (self.episode[follower] == self.episode[frame])
-        keep = follows & (self._distance(follower[:, None], true)[:, 0] < 1)
-        episode = self.episode[frame]
-        own = (
-            recordings.first[episode, None]
-            + (torch.rand(len(frame), OWN_CANDIDATES) * recordings.count[episode, None]).long()
-        )
-        own, near = self._nearest(own, true)
-        other, _ = self._nearest(self._frames[torch.randint(len(self._frames), (len(frame), CANDIDATES))], true)
-        return torch.where(keep, follower, torch.where(near < 1, own, other))
+        follows = self.usable[follower] & (self.episode[follower] == episode)
+        lost = ~(follows & (self._distance(follower[:, None], true)[:, 0] < 1))
+        within = (torch.rand(n, OWN_CANDIDATES) * recordings.count[episode, None]).long()
+        own, near = self._nearest((recordings.first[episode, None] + within)[lost], true[lost])
+        other = self._frames[torch.randint(len(self._frames), (n, CANDIDATES))[lost]]
+        follower[lost] = torch.where(near < 1, own, self._nearest(other, true[lost])[0])
+        return follower
 
     def applied(self, frame: Tensor, true: Tensor) -> Tensor:
         """Return what is seen, ``(B, 5)``, with the errors of ``frame`` ``(B,)`` where ``true`` ``(B, 4)`` is."""
@@ -213,9 +225,9 @@ class SightingErrors:
 
     def _distance(self, frames: Tensor, true: Tensor) -> Tensor:
         """Return how far frames ``(B, n)`` are from showing the target at ``true`` ``(B, 4)``."""
-        return ((_in_view(self.true[frames]) - _in_view(true)[:, None]) / true.new_tensor(UNITS)).norm(dim=-1)
+        return (self._shown[frames] - _in_view(true)[:, None]).norm(dim=-1)
 
 
 def _in_view(seen: Tensor) -> Tensor:
-    """Return ``(u, v, log depth, ...)`` with what is far out of view moved to twice the image's half."""
-    return torch.cat([seen[..., :2].clamp(-2, 2), seen[..., 2:]], dim=-1)
+    """Return ``(u, v, log depth, ...)`` in `UNITS`, with what is far out of view moved to twice the image's half."""
+    return torch.cat([seen[..., :2].clamp(-2, 2), seen[..., 2:]], dim=-1) / seen.new_tensor(UNITS)

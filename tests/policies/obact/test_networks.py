@@ -7,6 +7,7 @@ import torch
 from lerobot.policies.rtc import RTCConfig, RTCProcessor
 from lerobot_policy_obact.attention import (
     AGE_STEP_S,
+    MEMORY_FRAMES,
     N_AGES,
     AgeBias,
     Memory,
@@ -96,6 +97,23 @@ def test_frames_that_come_one_at_a_time_are_attended_to_as_if_all_were_there():
     whole = block(tokens, ages(6), Memory())
     single = [block(tokens[:, i : i + 1], ages(6)[i : i + 1, : i + 1], memory) for i in range(6)]
     torch.testing.assert_close(torch.cat(single, dim=1), whole)
+
+
+@torch.no_grad()
+def test_frames_come_as_many_as_wanted_at_a_time_and_an_episode_may_be_over():
+    torch.manual_seed(0)
+    block, tokens, memory = TemporalBlock(16, 4), torch.randn(2, 9, 16), Memory()
+    whole = block(tokens, ages(9), Memory())
+    for rows, new in ((2, slice(0, 4)), (2, slice(4, 5)), (1, slice(5, 7)), (1, slice(7, 9))):
+        few = block(tokens[:rows, new], ages(9)[new, : new.stop], memory)
+        torch.testing.assert_close(few, whole[:rows, new])
+
+
+def test_of_all_frames_the_latest_are_remembered():
+    memory, kept = Memory(), []
+    for i in range(3 * MEMORY_FRAMES):
+        kept = memory.extended("time", torch.tensor([i]), 0).tolist()
+    assert kept == list(range(2 * MEMORY_FRAMES - 1, 3 * MEMORY_FRAMES))
 
 
 def test_attention_counts_seconds_not_frames():
