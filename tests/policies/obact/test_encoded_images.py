@@ -1,12 +1,14 @@
 """The cache of encoded images: whatever is wrong with it costs a warning and encoding again."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 import torch
+from lerobot.datasets import LeRobotDatasetMetadata
+from lerobot.datasets.video_utils import decode_video_frames
 from lerobot_policy_obact import ObActConfig, encoded_images
 from lerobot_policy_obact.modeling_obact import ObActModel
 from safetensors.torch import save_file
@@ -23,9 +25,10 @@ def encode(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tor
     config = ObActConfig(encoder="conv", encoder_options={"channels": 8}, **FEATURES)
     model, calls = ObActModel(config), []
 
-    def images(meta: object, key: str, episode: int, length: int) -> torch.Tensor:
-        calls.append(episode)
-        return torch.zeros(length, 3, 32, 32)
+    def images(meta: object, key: str, lengths: list[int]) -> Iterator[torch.Tensor]:
+        for length in lengths:
+            calls.append(length)
+            yield torch.zeros(length, 3, 32, 32, dtype=torch.uint8)
 
     monkeypatch.setattr(encoded_images, "_images", images)
 
@@ -36,6 +39,20 @@ def encode(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tor
 
     call.calls = calls  # pyright: ignore[reportFunctionMemberAccess]
     return call
+
+
+def test_every_image_is_the_one_that_lerobot_reads(dataset: Path):
+    meta = LeRobotDatasetMetadata("local/ours", root=dataset)
+    lengths, key = list(meta.episodes["length"]), meta.video_keys[0]
+    for i, images in enumerate(encoded_images._images(meta, key, lengths)):
+        start_s = meta.episodes[i][f"videos/{key}/from_timestamp"]
+        times_s = [start_s + t / meta.fps for t in range(lengths[i])]
+        file = dataset / meta.get_video_file_path(i, key)
+        expected = decode_video_frames(file, times_s, 0.5 / meta.fps, backend="pyav", return_uint8=True)
+        assert images.equal(expected)
+    lengths[-1] += 1
+    with pytest.raises(ValueError, match=f"lacks images of episode {len(lengths) - 1}, of {lengths[-1]} frames"):
+        list(encoded_images._images(meta, key, lengths))
 
 
 def cached(folder: Path) -> Path:
