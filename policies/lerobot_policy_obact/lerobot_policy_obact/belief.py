@@ -53,10 +53,7 @@ class Belief(nn.Module):
     Args:
         cameras: calibrated.
         n_extra: numbers of a token beside those of the sightings.
-        dim: size of a token.
-        n_layers: temporal attention blocks.
-        n_heads: heads of each.
-        n_points: readouts whose values are positions; 0 forecasts from features alone.
+        dim, n_layers, n_heads, n_points: see `ObActConfig`.
         fps: frame rate [Hz].
     """
 
@@ -109,12 +106,12 @@ class Belief(nn.Module):
             memory: of frames before these, which it also is to keep.
         """
         memory = memory or Memory()
-        places = torch.stack(
-            [cam.origin(palm) + cam.place(sightings[:, :, i, :3]) for i, cam in enumerate(self.cameras)], 2
-        )
-        position = fused(self.cameras, sightings, places, palm)
+        (eyes, rays), scales = self.sighted(sightings, palm), sightings[..., 3:5]
+        position = fused(eyes, rays, scales)
         origin = memory.first("origin", position[:, :1])
-        tokens = self.token(self._numbers(sightings, places, position - origin, palm, extra))
+        seen = [scales.clamp(-6, 3) / 3, scales[..., :1].clamp_max(2).exp(), (rays / RAY_M).clamp(-FAR, FAR)]
+        place = ((position - origin) / PLACE_M).clamp(-FAR, FAR)
+        tokens = self.token(torch.cat([place, torch.cat(seen, dim=-1).flatten(2), extra], dim=-1))
         age_s = time_s[:, None] - memory.extended("time", time_s, 0)  # (T, S), negative ahead
         for block in self.blocks:
             tokens = block(tokens, age_s, memory)
@@ -125,11 +122,11 @@ class Belief(nn.Module):
             points, weights = self.readout(tokens, position - origin, age_s, rows, memory)
         return Outlook(features, self._forecast(features, points) + origin[:, :, None], weights)
 
-    def _numbers(self, sightings: Tensor, places: Tensor, position: Tensor, palm: Tensor, extra: Tensor) -> Tensor:
-        scales = sightings[..., 3:5]
-        rays = torch.stack([places[:, :, i] - cam.origin(palm) - cam.pos for i, cam in enumerate(self.cameras)], 2)
-        seen = [scales.clamp(-6, 3) / 3, scales[..., :1].clamp_max(2).exp(), (rays / RAY_M).clamp(-FAR, FAR)]
-        return torch.cat([(position / PLACE_M).clamp(-FAR, FAR), torch.cat(seen, -1).flatten(2), extra], dim=-1)
+    def sighted(self, sightings: Tensor, palm: Tensor) -> tuple[Tensor, Tensor]:
+        """Return where the cameras are, and where from there they see the target [m], ``(B, T, C, 3)`` each."""
+        eyes = [cam.origin(palm) + cam.pos for cam in self.cameras]
+        rays = [cam.place(sightings[:, :, i, :3]) - cam.pos for i, cam in enumerate(self.cameras)]
+        return torch.stack(eyes, dim=2), torch.stack(rays, dim=2)
 
     def _forecast(self, decisions: Tensor, points: Tensor | None) -> Tensor:
         """Combine the positions read out, ``(B, Q, J, 3)``, linearly, and bend the result by what the tokens say."""
@@ -144,21 +141,17 @@ class Belief(nn.Module):
         return base + bend * (0.03 + 0.5 * self.ahead_s)[:, None]
 
 
-def fused(cameras: list[Pinhole], sightings: Tensor, places: Tensor, palm: Tensor) -> Tensor:
+def fused(eyes: Tensor, rays: Tensor, scales: Tensor) -> Tensor:
     """Return where the cameras together place the target [m], ``(B, T, 3)``: each counts by what it is sure of.
 
-    A camera's error is taken to be Gaussian with the scales it reports, across and along its line of sight, so the
-    lines of sight of two cameras cross where both are precise.
+    A camera's error is taken to be Gaussian with the ``scales`` ``(B, T, C, 2)`` it reports, across and along its line
+    of sight, so the lines of sight of two cameras cross where both are precise. See `Belief.sighted` for the others.
     """
-    if len(cameras) == 1:
-        return places[:, :, 0]
-    information, weighted = torch.zeros(()), torch.zeros(())
-    for i, cam in enumerate(cameras):
-        offset = places[:, :, i] - cam.origin(palm) - cam.pos
-        distance = offset.norm(dim=-1, keepdim=True).clamp_min(1e-3)
-        sight = offset / distance
-        across, along = ((sightings[:, :, i, 3:5].clamp(-6, 2).exp() * distance).clamp_min(1e-3) ** -2).unbind(-1)
-        line = einsum(sight, sight, "... i, ... j -> ... i j")
-        precise = across[..., None, None] * (torch.eye(3, device=line.device) - line) + along[..., None, None] * line
-        information, weighted = information + precise, weighted + (precise @ places[:, :, i, :, None])
-    return torch.linalg.solve(information, weighted)[..., 0]
+    if eyes.shape[2] == 1:
+        return (eyes + rays)[:, :, 0]
+    distance = rays.norm(dim=-1, keepdim=True).clamp_min(1e-3)
+    sight = rays / distance
+    across, along = ((scales.clamp(-6, 2).exp() * distance).clamp_min(1e-3) ** -2)[..., None].unbind(-2)  # (B, T, C, 1)
+    line = einsum(sight, sight, "... i, ... j -> ... i j")
+    precise = across[..., None] * (torch.eye(3, device=line.device) - line) + along[..., None] * line
+    return torch.linalg.solve(precise.sum(2), (precise @ (eyes + rays)[..., None]).sum(2))[..., 0]

@@ -78,14 +78,7 @@ class Guidance:
 
 
 class Denoiser(nn.Module):
-    """A residual perceptron over the whole chunk.
-
-    Args:
-        size: numbers of a chunk.
-        context: numbers of the context.
-        width: of its layers.
-        n_blocks: residual blocks.
-    """
+    """A residual perceptron over the ``size`` numbers of a chunk, in a context of ``context`` numbers."""
 
     def __init__(self, size: int, context: int, width: int = 128, n_blocks: int = 2) -> None:
         super().__init__()
@@ -143,7 +136,7 @@ class ActionHead(nn.Module):
         self.denoiser = Denoiser(horizon * self.action_dim, context, width) if self.generative else None
 
     def load_pretrained(self) -> None:
-        """Load published weights, if there are any: there are none."""
+        """Load published weights: here there are none."""
 
     def regress(self, context: Tensor) -> tuple[Tensor, Tensor]:
         """Return the mean ``(R, H, A)`` and the log scale of its error by group, ``(R, H, G)``."""
@@ -152,12 +145,8 @@ class ActionHead(nn.Module):
         return mean, log_scale.clamp(MIN_LOG_SCALE, MAX_LOG_SCALE)
 
     def loss(self, context: Tensor, actions: Tensor, weight: Tensor) -> Tensor:
-        """Return the loss of each row, ``(R,)``.
-
-        Args:
-            context: ``(R, C)``.
-            actions: chunks in units of the dataset, ``(R, H, A)``.
-            weight: of each action, 0 for padding, ``(R, H)``.
+        """Return the loss of each row, ``(R,)``, for contexts ``(R, C)``, normalised actions ``(R, H, A)`` and their
+        weights, 0 for padding, ``(R, H)``.
         """
         mean, log_scale = self.regress(context)
         errors = torch.stack([e.square().sum(-1).add(1e-8).sqrt() for e in (actions - mean).split(self.groups, -1)], -1)
@@ -173,7 +162,8 @@ class ActionHead(nn.Module):
 
     def _unit(self, log_scale: Tensor) -> Tensor:
         """Return the scale of every entry, ``(R, H, G) -> (R, H, A)``."""
-        return log_scale.exp().repeat_interleave(torch.tensor(self.groups, device=log_scale.device), dim=-1)
+        scales = zip(log_scale.exp().split(1, dim=-1), self.groups, strict=True)
+        return torch.cat([scale.expand(-1, -1, size) for scale, size in scales], dim=-1)
 
     def _denoising_loss(self, denoiser: Denoiser, context: Tensor, deviation: Tensor, weight: Tensor) -> Tensor:
         """Return the loss of each row, ``(R,)``, of denoising deviations ``(R, H, A)``."""
@@ -200,12 +190,8 @@ class ActionHead(nn.Module):
     def sample(self, context: Tensor, frame: int, guidance: Guidance | None = None) -> Tensor:
         """Sample a chunk for every context, ``(R, C) -> (R, H, A)``.
 
-        ``n_draws`` chunks start from the noise of the frame, and a quantile of every entry makes one of them.
-
-        Args:
-            context: see `loss`.
-            frame: number of the decision's frame in its episode.
-            guidance: towards the previous chunk; a single chunk is sampled then.
+        ``n_draws`` chunks start from the noise of the frame, which is counted from the start of the episode, and a
+        quantile of every entry makes one of them. With ``guidance``, a single one is sampled.
         """
         if self.denoiser is None:
             return self.regress(context)[0]

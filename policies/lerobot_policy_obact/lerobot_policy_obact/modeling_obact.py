@@ -44,11 +44,7 @@ MISSED_WEIGHT = 10.0
 
 
 class ObActModel(nn.Module):
-    """The network.
-
-    Args:
-        config: its features and its rig filled in.
-    """
+    """The network; ``config`` has its features and its rig filled in."""
 
     action_mean: Tensor
     action_std: Tensor
@@ -105,11 +101,6 @@ class ObActModel(nn.Module):
         """Whether the encoders take each image together with the one before."""
         return ENCODERS[self.config.encoder].sees_motion
 
-    @property
-    def n_sighting(self) -> int:
-        """Numbers that an encoder says of an image."""
-        return N_SIGHTING + cast(Encoder, self.encoders[0]).embedding
-
     def encode_images(self, images: dict[str, Tensor]) -> Tensor:
         """Return what each camera saw, ``(F, C, 5 + E)``; images are ``(F, 3 or 6, H, W)`` in [0, 1]."""
         seen = [encoder(images[key]) for encoder, key in zip(self.encoders, self.config.cameras, strict=True)]
@@ -118,16 +109,12 @@ class ObActModel(nn.Module):
     def encode_history(self, frames: Frames, rows: Tensor, memory: Memory | None = None) -> Outlook:
         """Return what decisions at frames ``rows`` ``(B, Q)`` believe.
 
-        A decision sees ``n_obs_frames`` frames before its own, and so do those frames: each decision is then given a
-        window of its own.
-
-        Args:
-            frames: observed ones.
-            rows: which of those.
-            memory: of frames before these, if they come a few at a time and a decision sees all.
+        A decision that sees ``n_obs_frames`` frames, not all, is given a window of its own; else ``memory`` keeps those
+        that come a few at a time.
         """
         n, q = rows.shape
         if windowed := self.config.n_obs_frames is not None:
+            memory = None
             ages_s = torch.tensor(self.config.ages_s, device=rows.device)
             frames = frames.windows(rows, ages_s)
             rows = rows.new_full((n * q, 1), len(ages_s) - 1)
@@ -283,7 +270,7 @@ class ObActPolicy(PreTrainedPolicy):
         weights = {"action": config.action_weight, "forecast": config.forecast_weight, "missed": config.action_weight}
         weights["closed_loop"] = config.closed_loop_weight
         total = torch.stack([weights[name] * loss for name, loss in losses.items()]).sum(0)
-        logged = {name: loss.mean().item() for name, loss in losses.items()}
+        logged = dict(zip(losses, torch.stack(list(losses.values())).mean(1).tolist(), strict=True))
         if reduction == "none":
             return rearrange(total, "(b e) -> b e", b=len(batch[ACTION])).mean(1), logged
         return total.mean(), logged
@@ -441,15 +428,9 @@ class ObActPolicy(PreTrainedPolicy):
         assert self._outlook is not None
         model, frame, outlook = self.acting, self._frames[-1], self._outlook.at(0)
         context, origin = model.condition(outlook, self._due(), frame.state[:, 0])
-        self.thought = Thought(
-            frame.sightings[:, 0],
-            torch.stack([cam.origin(frame.palm[:, 0]) + cam.place(frame.sightings[:, 0, i, :3])
-                         for i, cam in enumerate(model.belief.cameras)], dim=1),
-            outlook.forecast,
-            model.belief.ahead_s,
-            origin[:, 0],
-            outlook.weights,
-        )  # fmt: skip
+        eyes, rays = model.belief.sighted(frame.sightings, frame.palm)
+        seen, sighted = frame.sightings[:, 0], (eyes + rays)[:, 0]
+        self.thought = Thought(seen, sighted, outlook.forecast, model.belief.ahead_s, origin[:, 0], outlook.weights)
         if guidance is not None:
             leftover = guidance.leftover[:, : self.config.horizon]
             guidance = replace(guidance, leftover=model.normalise(leftover, origin[:, : leftover.shape[1]]))

@@ -3,6 +3,7 @@
 import json
 import pickle
 import sys
+from copy import deepcopy
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,16 +19,18 @@ from lerobot.datasets import LeRobotDataset
 from lerobot.policies import make_pre_post_processors
 from lerobot.scripts.lerobot_train import main
 from lerobot_policy_obact import ObActConfig, ObActPolicy
-from lerobot_policy_obact.closed_loop import closed_loop_loss
+from lerobot_policy_obact.closed_loop import closed_loop_loss, rolled_rows
 from lerobot_policy_obact.configuration_obact import Rig
 from lerobot_policy_obact.decisions import Episodes
 from lerobot_policy_obact.encoders import SHIPPED
 from lerobot_policy_obact.export import export
 from lerobot_policy_obact.launch_policy_server import allow_obact
+from lerobot_policy_obact.modeling_obact import ObActModel, decision_losses
 from lerobot_policy_obact.recordings import NEVER
-from lerobot_policy_obact.teacher import Meet, Targets
+from lerobot_policy_obact.teacher import Grip, Meet, Targets, Teacher
 from lerobot_policy_obact.virtual_episodes import SightingErrors
 from safetensors.torch import load_file
+from torch._subclasses.fake_tensor import FakeTensorMode
 
 from tests.checkpoints import FEATURES, SMALL_GR00T
 from tests.checkpoints import SHIPPED as SHIPPED_POLICY
@@ -207,6 +210,41 @@ def test_a_palm_is_rolled_out_from_when_the_first_command_takes_effect(late: int
     teacher = Meet(20.0, 0.025, torch.zeros(15), torch.ones(15), 0.03)
     assert closed_loop_loss(still, SimpleNamespace(at=int), episodes, rows, teacher) < 0.05
     assert closed_loop_loss(still, SimpleNamespace(at=int), episodes, rows + 1, teacher) > 1
+
+
+@pytest.mark.parametrize("teacher", [Meet, Grip])
+def test_a_training_step_mixes_no_devices(teacher: type[Teacher]):
+    """Fake tensors need no GPU, and refuse what one would refuse."""
+    rig = Rig(palm_speed_m_s=0.5, capture="contact" if teacher is Grip else "attach")
+    views = {f"observation.images.{view}": PolicyFeature(FeatureType.VISUAL, (3, 32, 32)) for view in ("ego", "side")}
+    inputs = views | {"observation.state": PolicyFeature(FeatureType.STATE, (18,))}
+    config = hand_policy(**RECORDED, rig=rig, input_features=inputs).config
+    path, full = torch.rand(2, 60, 3), torch.full((2,), 60)
+    targets = Targets(path, full, full, path, torch.full((2,), NEVER))
+    state = torch.zeros(2, 60, 18)
+    episodes = Episodes(torch.zeros(2, 60, 2, 5), state, state, full, torch.tensor([10, 12]), 20.0, targets)
+    expert = teacher(20.0, 0.025, torch.zeros(15), torch.ones(15), 0.03)
+    rows, rolled = episodes.decision_rows(3, 0), rolled_rows(episodes, 0)
+    decisions, seen = episodes.decisions(rows, expert, config), torch.cat([rows, rolled], dim=1)
+    frames = episodes.frames(seen)
+    with FakeTensorMode(allow_non_fake_inputs=True):
+        with torch.device("cuda"):
+            model = ObActModel(config)
+        outlook = model.encode_history(frames.to("cuda"), seen.to("cuda"))
+        losses = decision_losses(model, outlook.at(slice(3)), decisions.to("cuda"))
+        losses["closed_loop"] = closed_loop_loss(model, outlook.at(slice(3, None)), episodes, rolled, expert)
+    assert {loss.device.type for loss in losses.values()} == {"cuda"}
+
+
+def test_virtual_hands_stay_where_they_are_when_the_policy_moves(hand_root, tmp_path, monkeypatch):
+    monkeypatch.setattr("lerobot_policy_obact.encoded_images.HF_LEROBOT_HOME", tmp_path)
+    monkeypatch.setattr("lerobot_policy_obact.virtual_episodes.POOL", 1)
+    monkeypatch.setattr("lerobot_policy_obact.virtual_episodes.USES", 0)  # each call plays episodes of its own
+    policy = learner(hand_root, virtual_share=1.0)
+    policy({"episode_index": torch.arange(4), "action": torch.zeros(4, 4, 18)})
+    leader = deepcopy(policy.acting)
+    policy.to("meta")  # a device that holds no numbers, so whoever reads its tensors fails
+    assert policy.virtual.draw(2, leader).sightings.isfinite().all()
 
 
 @pytest.mark.parametrize("virtual_share", [0.0, 1.0], ids=["recorded", "virtual"])
