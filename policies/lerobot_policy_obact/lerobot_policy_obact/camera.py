@@ -48,7 +48,7 @@ class Pinhole(nn.Module):
         return palm if self.carried else torch.zeros_like(palm)
 
     def place(self, seen: Tensor) -> Tensor:
-        """Map ``(u, v, log depth)`` to positions relative to the origin [m], world axes, ``(..., 3)``."""
+        """Map ``(u, v, log depth)`` to positions from the origin [m], world axes, ``(..., 3)``."""
         depth = self.unit_m * seen[..., 2:].clamp(-4.0, 3.0).exp()
         ray = torch.cat([self.half_view * seen[..., :2], torch.ones_like(depth)], dim=-1)
         return self.pos + depth * ray @ self.axes

@@ -45,15 +45,7 @@ def rolled_rows(episodes: Episodes, late: int) -> Tensor:
 
 
 def closed_loop_loss(model: ObActModel, outlook: Outlook, episodes: Episodes, rows: Tensor, teacher: Teacher) -> Tensor:
-    """Return the loss of each episode, ``(B,)``.
-
-    Args:
-        model: whose head moves the palms.
-        outlook: what it believes at ``rows``.
-        episodes: with targets.
-        rows: ``(B, R)``.
-        teacher: says how far a palm is from catching.
-    """
+    """Return the loss of each episode, ``(B,)``, from what the model believes at ``rows`` ``(B, R)``."""
     targets, rig, device = episodes.targets, model.config.rig, model.device
     assert targets is not None
     due = rows[:, :1] + rig.delay_frames + torch.arange(rows.shape[1] + 1)  # (B, R + 1)

@@ -28,9 +28,7 @@ UNSEEN_SCALE = 5.0
 
 
 class Encoder(nn.Module):
-    """Cells of a grid, and what is seen at the place that the attention finds.
-
-    A subclass says what the ``cells`` are. Registered in `ENCODERS`.
+    """Cells of a grid, and what is seen at the place that the attention finds; a subclass says what the `cells` are.
 
     Args:
         dim: features of a cell.

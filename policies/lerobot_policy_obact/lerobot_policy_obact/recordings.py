@@ -90,13 +90,7 @@ class Recordings:
 
     @classmethod
     def encoded(cls, meta: Any, config: ObActConfig, model: ObActModel) -> Recordings:
-        """Return a dataset with all its images encoded.
-
-        Args:
-            meta: LeRobot's metadata of a dataset on this disk.
-            config: of the policy.
-            model: whose encoders are used.
-        """
+        """Return the dataset of LeRobot's metadata, which is on this disk, with all images encoded by the model."""
         known = {TARGET_PATH, LOCALIZED, OPEN_JOINTS, CLOSED_JOINTS, TARGET_POSE} if config.forecasts else set()
         table = episode_columns(meta, {"length", WINDOW} | known)
         columns = _frame_columns(meta, [*config.state_keys, ACTION])

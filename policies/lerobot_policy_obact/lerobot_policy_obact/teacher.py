@@ -88,7 +88,6 @@ class Teacher:
     step_m: float
     open_joints: Tensor
     closed_joints: Tensor
-
     radius_m: float
 
     carries: ClassVar[bool] = False
@@ -104,21 +103,14 @@ class Teacher:
         raise NotImplementedError
 
     def caught(self, targets: Targets, frame: int, palm: Tensor, moved: Tensor, closed: Tensor) -> Tensor:
-        """Return whether hands ``(B,)`` catch their targets between a frame and the next one.
-
-        Args:
-            targets: of those.
-            frame: the first of the two.
-            palm, moved: where the palms are in the one and in the other [m], ``(B, 3)``.
-            closed: whether their fingers close, ``(B,)``.
+        """Return whether hands ``(B,)``, ``closed`` or not, catch their targets between ``frame`` and the next one, in
+        which their palms are at ``palm`` and ``moved`` ``(B, 3)`` [m].
         """
         raise NotImplementedError
 
     def misses(self, offsets: Tensor) -> Tensor:
-        """Return how far palms are from catching, frame by frame [m], ``(B, R')``, R' < R.
-
-        Args:
-            offsets: of palms from their targets in R frames [m], ``(B, R, 3)``.
+        """Return how far palms at ``offsets`` ``(B, R, 3)`` [m] from their targets are from catching, frame by frame,
+        ``(B, R')`` [m], R' < R.
         """
         raise NotImplementedError
 
@@ -131,13 +123,8 @@ class Teacher:
         return (joints - self.open_joints).sum(-1) / (self.closed_joints - self.open_joints).sum()
 
     def palms(self, targets: Targets, due: Tensor, palm: Tensor) -> Tensor:
-        """Draw four palms for each decision, ``(B, Q, 4, 3)`` [m]: the one that was there, and others near it and near
-        the target. A palm that holds the target stays where it is.
-
-        Args:
-            targets: of the episodes.
-            due: frames at which commands take effect, ``(B, Q)``.
-            palm: where the palm was then [m], ``(B, Q, 3)``.
+        """Draw four palms for each decision, ``(B, Q, 4, 3)`` [m]: the one that was at ``palm`` ``(B, Q, 3)`` in frames
+        ``due`` ``(B, Q)``, and others near it and near the target. A palm that holds the target stays where it is.
         """
         place = targets.places(due[..., None], due)[:, :, 0]
         base = torch.stack([palm, palm, palm, place], dim=2)
