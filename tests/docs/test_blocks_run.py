@@ -175,7 +175,7 @@ def before_first_hour(folder: Path) -> None:
         assert any("100%|" in bar for bar in bars), (unit, stage)
         assert all("<" in bar for bar in bars), "elapsed<remaining"
     assert not [word for word in ("Warning", "WARNING", "warning", "Traceback", "torchcodec") if word in said]
-    assert said.strip().splitlines()[-1].strip() == f"python -m webbrowser {(out / 'report.html').as_uri()}"
+    assert said.strip().endswith((out / "report.html").as_uri())
 
     run(["dynahoi", "verify", str(out / "dataset")])
     assert json.loads((out / "training/pretrained_model/config.json").read_text())["type"] == "obact"
