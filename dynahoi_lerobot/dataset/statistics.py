@@ -76,7 +76,7 @@ def level_counts(images: np.ndarray) -> np.ndarray:
     counts = np.zeros((3, 256), np.int64)
     for first in range(0, len(images), EXACT_FRAMES):
         block = np.ascontiguousarray(images[first : first + EXACT_FRAMES]).reshape(-1, images.shape[2], 3)
-        counts += [cv2.calcHist([block], [c], None, [256], [0, 256])[:, 0].astype(np.int64) for c in range(3)]
+        counts += [cv2.calcHist([block], [c], None, [256], [0, 256]).ravel().astype(np.int64) for c in range(3)]
     return counts
 
 

@@ -2,8 +2,8 @@
 
 A teacher that knows the future cannot be imitated before the future can be known; and nothing in imitation tells a
 policy that a forecast which is wrong now will be less wrong in five frames. So from a frame on the palm alone is rolled
-out through the head, each command cut to what a palm does in a frame, and what counts is the least distance that it
-has from the target. What is seen meanwhile stays what the hand saw that was there.
+out through the head, each command cut to what a palm does in a frame, and what counts is how near it comes to catching
+the target, as its teacher sees it. What is seen meanwhile stays what the hand saw that was there.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from torch import Tensor
 from .belief import Outlook
 from .decisions import EARLIEST_FRAME, Episodes
 from .frames import stepped
-from .teacher import passing_distance
+from .teacher import Teacher
 
 if TYPE_CHECKING:
     from .modeling_obact import ObActModel
@@ -25,8 +25,9 @@ ROLLED_FRAMES = 24
 """A palm is rolled out for so long."""
 LATE_SHARE = 0.5
 """Share of the palms that start anywhere before the catch; the others start with the control phase."""
-RIM, SOFTNESS_M, FAR_M, FAR_WEIGHT = 0.9, 0.008, 0.1, 0.3
-"""The loss is a smooth step at this share of the radius, so wide, and a part of the distance beyond, in this unit."""
+RIM, SOFTNESS, FAR_M, FAR_WEIGHT = 0.9, 0.27, 0.1, 0.3
+"""The loss is a smooth step at this share of the radius within which a target is caught, so wide in radii, and a part
+of the distance beyond, in this unit."""
 
 
 def rolled_rows(episodes: Episodes, late: int) -> Tensor:
@@ -35,7 +36,7 @@ def rolled_rows(episodes: Episodes, late: int) -> Tensor:
     assert targets is not None
     known = torch.minimum(targets.length, episodes.count)
     first = (episodes.window - late).clamp_min(EARLIEST_FRAME)
-    last = torch.minimum(known - 4, targets.free - 1) - late
+    last = torch.minimum(known - 4, torch.minimum(targets.free, targets.held) - 1) - late
     anywhere = first + (torch.rand(len(first)) * (last - first).clamp_min(0)).long()
     start = torch.where(torch.rand(len(first)) < LATE_SHARE, anywhere, first)
     start = torch.minimum(start, (known - 4 - late).clamp_min(EARLIEST_FRAME))
@@ -43,7 +44,7 @@ def rolled_rows(episodes: Episodes, late: int) -> Tensor:
     return torch.minimum(rows, (known - 2)[:, None])
 
 
-def closed_loop_loss(model: ObActModel, outlook: Outlook, episodes: Episodes, rows: Tensor, radius_m: float) -> Tensor:
+def closed_loop_loss(model: ObActModel, outlook: Outlook, episodes: Episodes, rows: Tensor, teacher: Teacher) -> Tensor:
     """Return the loss of each episode, ``(B,)``.
 
     Args:
@@ -51,7 +52,7 @@ def closed_loop_loss(model: ObActModel, outlook: Outlook, episodes: Episodes, ro
         outlook: what it believes at ``rows``.
         episodes: with targets.
         rows: ``(B, R)``.
-        radius_m: within which the palm has the target [m].
+        teacher: says how far a palm is from catching.
     """
     targets, rig, device = episodes.targets, model.config.rig, model.device
     assert targets is not None
@@ -60,12 +61,13 @@ def closed_loop_loss(model: ObActModel, outlook: Outlook, episodes: Episodes, ro
     path = targets.path[torch.arange(len(rows))[:, None], torch.minimum(due, targets.length[:, None] - 1)].to(device)
     palm = episodes.palm(due[:, :1])[:, 0].to(device)
     state = episodes.state[torch.arange(len(rows)), rows[:, 0]].to(device)
-    least = palm.new_full((len(rows),), torch.inf)
+    offsets = [palm - path[:, 0]]
     for r in range(rows.shape[1]):
-        goal = model.act_once(outlook.at(r), palm, state)
-        moved = stepped(palm, goal[:, :3], rig.step_m)
-        distance = passing_distance(path[:, r] - palm, path[:, r + 1] - moved)
-        least, palm = torch.where(known[:, r], torch.minimum(least, distance), least), moved
+        palm = stepped(palm, model.act_once(outlook.at(r), palm, state)[:, :3], rig.step_m)
+        offsets.append(palm - path[:, r + 1])
+    misses = teacher.misses(torch.stack(offsets, dim=1))  # (B, R')
+    known = known[:, : misses.shape[1]]
+    least = misses.masked_fill(~known, torch.inf).amin(1)
     least = least.where(least.isfinite(), 0.0)
-    step = torch.sigmoid((least - RIM * radius_m) / SOFTNESS_M)
+    step = torch.sigmoid((least / teacher.radius_m - RIM) / SOFTNESS)
     return (step + FAR_WEIGHT * (least / FAR_M).clamp_max(2.0)) * known.any(1)

@@ -297,15 +297,17 @@ class ObActPolicy(PreTrainedPolicy):
         assert self.recordings is not None
         rows = episodes.decision_rows(config.n_decisions, config.rig.delay_frames)
         decisions = episodes.decisions(rows, self.recordings.teacher, config)
-        closes = config.forecasts and not config.grips and config.closed_loop_weight > 0
+        closes = config.forecasts and config.closed_loop_weight > 0
         rolled = rolled_rows(episodes, config.rig.delay_frames) if closes else rows[:, :0]
         seen = torch.cat([rows, rolled], dim=1)
         outlook = model.encode_history(episodes.frames(seen).to(device), seen.to(device))
         n = config.n_decisions
         losses = decision_losses(model, outlook.at(slice(n)), decisions.to(device))
         if closes:
-            radius_m, rolled_outlook = config.rig.radius_m, outlook.at(slice(n, None))
-            losses["closed_loop"] = closed_loop_loss(model, rolled_outlook, episodes, rolled, radius_m)
+            assert self.recordings.teacher is not None
+            losses["closed_loop"] = closed_loop_loss(
+                model, outlook.at(slice(n, None)), episodes, rolled, self.recordings.teacher
+            )
         return losses
 
     def _episodes(self, named: Tensor) -> Episodes:

@@ -35,6 +35,8 @@ CAPTURE, WINDOW = "capture", "window_frames"
 """Columns of the episode table of a DynaHOI dataset, see its feature table."""
 RADIUS_M = {"attach": 0.03, "attach_lenient": 0.1}
 """Within which a palm has the target, by the rule of capture; under others it must be gripped."""
+GRIP_M = 0.015
+"""Within which of its seat a target that moves along with the hand is gripped."""
 CARRIED_VIEW = "ego"
 """The view of the camera that the palm carries."""
 CLOSED_QUANTILE = 0.6
@@ -134,7 +136,7 @@ def teacher_of(rig: Rig, table: dict[str, list[Any]]) -> Teacher:
     """Return the teacher of a dataset with the episode table ``table``."""
     joints = (torch.tensor(np.stack(table[name]), dtype=torch.float32) for name in (OPEN_JOINTS, CLOSED_JOINTS))
     hand = (rig.fps, rig.step_m, *(angles.quantile(CLOSED_QUANTILE, dim=0) for angles in joints))
-    return Grip(*hand) if rig.capture == CONTACT else Meet(*hand, radius_m=rig.radius_m)
+    return Grip(*hand, radius_m=GRIP_M) if rig.capture == CONTACT else Meet(*hand, radius_m=rig.radius_m)
 
 
 def describe(meta: Any, cameras: list[str]) -> Rig:

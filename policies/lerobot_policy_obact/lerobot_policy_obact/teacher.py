@@ -81,12 +81,15 @@ class Teacher:
         fps: frame rate [Hz].
         step_m: how far a palm gets in a frame [m].
         open_joints, closed_joints: of the hand [rad], ``(J,)``.
+        radius_m: of what `misses` returns, within which the target is caught [m].
     """
 
     fps: float
     step_m: float
     open_joints: Tensor
     closed_joints: Tensor
+
+    radius_m: float
 
     carries: ClassVar[bool] = False
     """Whether a target that is caught goes where the hand goes, and there is still something to decide."""
@@ -108,6 +111,14 @@ class Teacher:
             frame: the first of the two.
             palm, moved: where the palms are in the one and in the other [m], ``(B, 3)``.
             closed: whether their fingers close, ``(B,)``.
+        """
+        raise NotImplementedError
+
+    def misses(self, offsets: Tensor) -> Tensor:
+        """Return how far palms are from catching, frame by frame [m], ``(B, R')``, R' < R.
+
+        Args:
+            offsets: of palms from their targets in R frames [m], ``(B, R, 3)``.
         """
         raise NotImplementedError
 
@@ -150,13 +161,7 @@ heads for a distant meeting instead of closing the last centimetres."""
 
 @dataclass(frozen=True)
 class Meet(Teacher):
-    """Be where the target comes within a radius of the palm: at the earliest point of its path that is in reach.
-
-    Attributes:
-        radius_m: that radius [m].
-    """
-
-    radius_m: float = 0.03
+    """Be where the target comes within a radius of the palm: at the earliest point of its path that is in reach."""
 
     def answer(self, targets: Targets, due: Tensor, palms: Tensor, horizon: int) -> Answers:
         """See `Teacher.answer`; a palm that is in time nowhere goes where it misses by least."""
@@ -181,6 +186,14 @@ class Meet(Teacher):
         """See `Teacher.caught`: by the least distance."""
         start, end = (targets.path[:, min(frame + i, targets.path.shape[1] - 1)] for i in (0, 1))
         return (passing_distance(start - palm, end - moved) < self.radius_m) & (frame < targets.length - 1)
+
+    def misses(self, offsets: Tensor) -> Tensor:
+        """See `Teacher.misses`: by how much they pass it."""
+        return passing_distance(offsets[:, :-1], offsets[:, 1:])
+
+
+STILL_FRAMES = 4
+"""While fingers close, the palm stays with the target."""
 
 
 class Grip(Teacher):
@@ -236,6 +249,11 @@ class Grip(Teacher):
         last = targets.carried.shape[1] - 1
         offset = palm - (targets.carried[:, min(frame, last)] - self.seat)
         return closed & (offset.norm(dim=-1) < self.expert.HELD_M) & (frame < targets.length - 1)
+
+    def misses(self, offsets: Tensor) -> Tensor:
+        """See `Teacher.misses`: how far they are from where the target has its seat, while fingers close."""
+        apart = ((offsets + self.seat.to(offsets)).square().sum(-1) + 1e-10).sqrt()
+        return apart.unfold(1, STILL_FRAMES, 1).mean(-1)
 
 
 def passing_distance(start: Tensor, end: Tensor) -> Tensor:

@@ -10,6 +10,7 @@ the same place in the image. Training only.
 from __future__ import annotations
 
 from collections import deque
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -55,14 +56,14 @@ class VirtualEpisodes:
         assert recordings.teacher is not None
         assert recordings.places is not None
         self.recordings, self.targets, self.teacher = recordings, recordings.targets, recordings.teacher
-        self.cameras = cameras
+        self.cameras = [deepcopy(cam).cpu() for cam in cameras]
         palm, closed = recordings.state[:, :3], self._closed(recordings.state)
         episode = torch.repeat_interleave(torch.arange(len(recordings.count)), recordings.count)
         frame = torch.arange(len(episode)) - recordings.first[episode]
         usable = (
             torch.ones_like(frame, dtype=torch.bool) if self.teacher.carries else frame < self.targets.free[episode]
         )
-        true = [cam.seen(recordings.places - cam.origin(palm)) for cam in cameras]
+        true = [cam.seen(recordings.places - cam.origin(palm)) for cam in self.cameras]
         self.errors = [
             SightingErrors(recordings.sightings[:, i], torch.cat([seen, closed[:, None]], 1), episode, usable)
             for i, seen in enumerate(true)

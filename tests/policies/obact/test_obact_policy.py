@@ -25,7 +25,7 @@ from lerobot_policy_obact.encoders import SHIPPED
 from lerobot_policy_obact.export import export
 from lerobot_policy_obact.launch_policy_server import allow_obact
 from lerobot_policy_obact.recordings import NEVER
-from lerobot_policy_obact.teacher import Targets
+from lerobot_policy_obact.teacher import Meet, Targets
 from lerobot_policy_obact.virtual_episodes import SightingErrors
 from safetensors.torch import load_file
 
@@ -204,8 +204,9 @@ def test_a_palm_is_rolled_out_from_when_the_first_command_takes_effect(late: int
     config = SimpleNamespace(rig=Rig(delay_frames=late, palm_speed_m_s=0.5))
     still = SimpleNamespace(config=config, device="cpu", act_once=lambda outlook, palm, state: palm)
     rows = torch.arange(10, 34)[None]
-    assert closed_loop_loss(still, SimpleNamespace(at=int), episodes, rows, 0.03) < 0.05
-    assert closed_loop_loss(still, SimpleNamespace(at=int), episodes, rows + 1, 0.03) > 1
+    teacher = Meet(20.0, 0.025, torch.zeros(15), torch.ones(15), 0.03)
+    assert closed_loop_loss(still, SimpleNamespace(at=int), episodes, rows, teacher) < 0.05
+    assert closed_loop_loss(still, SimpleNamespace(at=int), episodes, rows + 1, teacher) > 1
 
 
 def test_the_closed_loop_loss_falls_where_the_head_learns_to_meet_the_target():

@@ -12,6 +12,7 @@ from lerobot_policy_obact.teacher import (
     PLANNED_SPEED,
     SLACK,
     Answers,
+    Grip,
     Meet,
     Targets,
     passing_distance,
@@ -90,7 +91,7 @@ def test_fingers_are_closed_before_the_meeting_and_open_long_before():
 def test_the_first_palm_is_the_one_that_was_there_and_the_others_are_near_it_or_the_target():
     torch.manual_seed(0)
     path, due, palm = paths(50), torch.full((50, 2), 20), torch.randn(50, 2, 3) * 0.1
-    palms = Meet(20.0, STEP_M, torch.zeros(15), torch.ones(15)).palms(targets_on(path), due, palm)
+    palms = Meet(20.0, STEP_M, torch.zeros(15), torch.ones(15), RADIUS_M).palms(targets_on(path), due, palm)
     assert torch.equal(palms[:, :, 0], palm)
     for i, near in ((1, palm), (2, palm), (3, path[:, 20][:, None])):
         assert 0.01 < (palms[:, :, i] - near).norm(dim=-1).median() < 0.15
@@ -124,3 +125,15 @@ def test_without_slack_it_agrees_with_the_expert(late: int, monkeypatch: pytest.
         arrival = earliest_arrival(waiting, spec.reference_joints, spec.oracle_path[due:], PLANNED_SPEED * 0.5, control)
         missed = arrival == len(spec.oracle_path) - due - 1
         assert missed or abs(int(told.frames) - arrival) <= 1  # single precision decides ties
+
+
+def test_a_palm_that_passes_its_target_meets_it_but_does_not_grip_it():
+    """The fingers need time to close, so what counts is how long the target stays in its seat."""
+    hand = (20.0, STEP_M, torch.zeros(15), torch.ones(15), RADIUS_M)
+    frames = torch.arange(-5, 6)[:, None]
+    passes = frames * torch.tensor([0.0, 0.04, 0.0])
+    meet, grip = Meet(*hand), Grip(*hand)
+    stays = (frames.abs() > 2) * torch.tensor([0.0, 0.2, 0.0])
+    assert float(meet.misses(passes[None]).min()) < 0.001
+    assert float(grip.misses((passes - grip.seat)[None]).min()) == pytest.approx(0.04, abs=1e-4)
+    assert float(grip.misses((stays - grip.seat)[None]).min()) < 0.001
