@@ -218,9 +218,10 @@ def test_the_closed_loop_loss_falls_where_the_head_learns_to_meet_the_target():
     goal = torch.zeros(3, requires_grad=True)
     head = lambda outlook, palm, state: torch.cat([goal.expand(1, 3), state[:, 3:]], dim=1)  # noqa: E731
     model = SimpleNamespace(config=SimpleNamespace(rig=Rig(palm_speed_m_s=0.5)), device="cpu", act_once=head)
+    teacher = Meet(20.0, 0.025, torch.zeros(15), torch.ones(15), 0.03)
     optimizer, losses = torch.optim.Adam([goal], lr=0.02), []
     for _ in range(60):
-        loss = closed_loop_loss(model, SimpleNamespace(at=int), episodes, torch.arange(10, 34)[None], 0.03).sum()
+        loss = closed_loop_loss(model, SimpleNamespace(at=int), episodes, torch.arange(10, 34)[None], teacher).sum()
         optimizer.zero_grad()
         loss.backward()
         assert goal.grad is not None
