@@ -31,6 +31,7 @@ from lerobot_policy_obact.teacher import Grip, Meet, Targets, Teacher
 from lerobot_policy_obact.virtual_episodes import SightingErrors
 from safetensors.torch import load_file
 from torch._subclasses.fake_tensor import FakeTensorMode
+from torch.nn.attention import SDPBackend, sdpa_kernel
 
 from tests.checkpoints import FEATURES, SMALL_GR00T
 from tests.checkpoints import SHIPPED as SHIPPED_POLICY
@@ -227,7 +228,7 @@ def test_a_training_step_mixes_no_devices(teacher: type[Teacher]):
     rows, rolled = episodes.decision_rows(3, 0), rolled_rows(episodes, 0)
     decisions, seen = episodes.decisions(rows, expert, config), torch.cat([rows, rolled], dim=1)
     frames = episodes.frames(seen)
-    with FakeTensorMode(allow_non_fake_inputs=True):
+    with FakeTensorMode(allow_non_fake_inputs=True), sdpa_kernel(SDPBackend.MATH):
         with torch.device("cuda"):
             model = ObActModel(config)
         outlook = model.encode_history(frames.to("cuda"), seen.to("cuda"))
