@@ -66,11 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the findings; return the exit code: 0 without problems, 1 with problems.
-
-    Raises:
-        ValueError: if the folder or the file is not writable.
-    """
+    """Print the findings; return the exit code: 0 without problems, 1 with problems."""
     check_output(args.folder)
     facts = []
     for fact in chain(examine(args.folder), compare(play(EPISODES), read_reference()) if args.reference else ()):

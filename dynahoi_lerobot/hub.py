@@ -91,12 +91,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Push the folder and print its address; return the exit code.
-
-    Raises:
-        CommandError: if it is refused or the Hub cannot be reached.
-        ValueError: for a bad argument, or a folder that nobody should push.
-    """
+    """Push the folder and print its address; return the exit code."""
     kind = kind_of(args.folder)
     for option, wanted in OPTIONS.items():
         if getattr(args, option) and kind != wanted:

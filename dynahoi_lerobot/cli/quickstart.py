@@ -85,12 +85,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the remaining stages; return the exit code.
-
-    Raises:
-        CommandError: if a stage fails; the message names it and its log.
-        ValueError: if packages for training are missing, or LeRobot cannot open a dataset below this path.
-    """
+    """Run the remaining stages; return the exit code."""
     if missing := [name for name in NEEDS if importlib.util.find_spec(name) is None]:
         raise ValueError(
             f"training needs {', '.join(missing)}: pip install '.[lerobot]' ./envs/lerobot_env_dynahoi "

@@ -83,11 +83,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the clip; return the exit code.
-
-    Raises:
-        ValueError: for an unknown suffix, source, motion, view or episode, or an unreadable dataset or result folder.
-    """
+    """Write the clip; return the exit code."""
     if (suffix := args.out.suffix) not in WRITERS:
         raise ValueError(f"cannot write {suffix or 'a file without suffix'!r}; use {', '.join(WRITERS)}")
     if args.sample is not None:

@@ -78,11 +78,6 @@ def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Recip
 
     Returns:
         The exit code, 0.
-
-    Raises:
-        CommandError: if the episodes cannot be made, or processes or tasks failed.
-        OSError: if the disk is full; run it again to resume.
-        ValueError: for a bad argument.
     """
     check_output(args.root)
     check_root(args.root)

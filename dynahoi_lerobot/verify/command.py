@@ -60,11 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Verify a dataset and print the findings; return the exit code: 0 no findings, 1 findings.
-
-    Raises:
-        FileNotFoundError: if ``root`` holds no dataset.
-    """
+    """Verify a dataset and print the findings; return the exit code: 0 no findings, 1 findings."""
     try:
         episodes = Store(args.root).info.get("total_episodes")
     except ValueError:
