@@ -112,11 +112,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def kind_of(folder: Path) -> str:
-    """Return what a folder holds: a key of ``KIND_FILES``.
-
-    Raises:
-        ValueError: if it is none of them.
-    """
+    """Return what a folder holds: a key of ``KIND_FILES``; ValueError if it is none of them."""
     for kind, file in KIND_FILES.items():
         if (folder / file).exists():
             return kind

@@ -113,12 +113,7 @@ def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Recip
 
 
 def _on_policy(args: argparse.Namespace, recipe: Recipe) -> tuple[Recipe, Record, str]:
-    """Return the recipe for the policy of ``--actor``, its recorder, and its ``runtime``.
-
-    Raises:
-        PolicyError: if the policy cannot be loaded or, without ``--trust``, could run code.
-        ValueError: if the recipe names another one.
-    """
+    """Return the recipe for the policy of ``--actor``, its recorder, and its ``runtime``."""
     policy, name = open_policy(args.actor, trust=args.trust), actor_name(args.actor)
     if recipe.actor not in ("", name):
         raise ValueError(f"the recipe names the actor {recipe.actor}; --actor {args.actor} is {name}")

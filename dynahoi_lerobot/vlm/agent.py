@@ -181,11 +181,7 @@ class VlmClient:
         return commands, took
 
     async def _answer(self, task: str, messages: list[dict[str, Any]]) -> np.ndarray:
-        """Return the commands of one answer.
-
-        Raises:
-            ReplyError: if it is not in the requested format.
-        """
+        """Return the commands of one answer; ReplyError if it is not in the requested format."""
         self._totals["answers"] += 1
         completion = await self._complete(messages)
         if completion.usage:
