@@ -95,12 +95,12 @@ def run(args: argparse.Namespace) -> int:
     size = TINY if args.tiny else Size(args.episodes, args.steps, args.evaluation_episodes)
     start = time.monotonic()
     with working_folder(out, {"quickstart": asdict(size)}):
-        _run_stages(out, size, start)
+        _run_stages(out, size)
     _conclude(out, start, show=args.open)
     return 0
 
 
-def _run_stages(out: Path, size: Size, start: float) -> None:
+def _run_stages(out: Path, size: Size) -> None:
     stages: list[tuple[str, Path, Callable[[Path, Size], None]]] = [
         ("generate a dataset", out / "dataset", _generate),
         ("train ObAct on it with lerobot-train", _checkpoint(out) / WEIGHTS, _train),
