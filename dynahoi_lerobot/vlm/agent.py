@@ -60,17 +60,10 @@ class VlmAgent(ChunkAgent):
             [queue.popleft() if queue else state for queue, state in zip(self._planned, states, strict=True)]
         )
 
-    def plan(
-        self,
-        observation: Observation,
-        worlds: np.ndarray,
-        *,
-        executed: np.ndarray | None = None,
-        delays: np.ndarray | None = None,
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def plan(self, observation: Observation, worlds: np.ndarray, **_: Any) -> tuple[np.ndarray, np.ndarray]:
         """Return a chunk for each of ``worlds`` (n,) and the seconds that each decision took.
 
-        Worlds whose episode has ended are skipped.
+        Worlds whose episode has ended are skipped. A model continues no earlier chunk.
         """
         shown = [i for i in worlds.tolist() if observation.images[EGO_VIEW][i].any()]
         actions = np.repeat(observation.state[:, None].astype(np.float64), HORIZON, axis=1)
