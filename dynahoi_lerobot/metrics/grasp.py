@@ -126,7 +126,7 @@ def per_frame_grasp(setting: str, least: int) -> Compute:
         by_finger = reached.reshape(-1, len(conventions.FINGERS), conventions.JOINTS_PER_FINGER)  # (T, 5, 3)
         return float(np.mean(by_finger.all(axis=2).sum(axis=1) >= least))
 
-    share.__doc__ = f"""Per-frame grasp, {setting}: the share of control frames in which {least} fingers or more match.
+    share.__doc__ = f"""Per-frame grasp, {setting}: the share of control frames in which at least {least} fingers match.
 
     ``grasp_{setting} = mean_t [number of fingers whose three joints all pass the test of S_gra at t >= {least}]``.
 
