@@ -26,7 +26,7 @@ from dynahoi_lerobot.generate.plan import GenerationPlan, ShardMaker
 from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.sampling.recipe import Recipe
 
-TINY = {"episodes": 4, "counts": [1, 2], "image_sizes": [16, 32], "workers": 1, "tasks": 2}
+TINY = {"episodes": 2, "counts": [1], "image_sizes": [16], "image_size": 16, "workers": 1, "tasks": 2}
 MIB = 2**20
 
 

@@ -178,7 +178,7 @@ def _evaluate(out: Path, size: Size) -> None:
         f"--output_dir={out / 'lerobot_eval'}",
     ]
     with ThreadPoolExecutor(1) as beside:
-        filmed = beside.submit(_film, out)
+        filmed = beside.submit(_film, out, min(GIFS, len(kinds) * size.per_kind))
         with _run_into("eval", arguments, out, partial, TASK_DONE, total=len(kinds), desc="evaluating", unit="kind"):
             for clip in (film := filmed.result()).glob("*.gif"):
                 clip.rename(partial / results.name / clip.name)
@@ -219,10 +219,10 @@ def run_lerobot(command: str, arguments: list[str], log: Path, step: str, bar: t
     return process.returncode
 
 
-def _film(out: Path) -> Path:
-    """Record the trained policy's first episodes as GIFs; return their folder."""
+def _film(out: Path, count: int) -> Path:
+    """Record the trained policy's first ``count`` episodes as GIFs; return their folder."""
     shutil.rmtree(film := out / "film", ignore_errors=True)
-    words = ["--policy", _checkpoint(out), "--out", film, "--episodes", GIFS, "--gifs", GIFS]
+    words = ["--policy", _checkpoint(out), "--out", film, "--episodes", count, "--gifs", count]
     _dynahoi(out / "film.log", "evaluate", *words)
     return film
 

@@ -244,12 +244,11 @@ def read_table(
 
     with reading(path):
         used = None if columns is None else {*columns, *(entry[0] for entry in filters or ())}
-        open_table(path, used, most).close()
+        with open_table(path, used, most) as file:
+            if missing := sorted({*(used or ())} - {*file.schema_arrow.names}):
+                raise ValueError(f"it has no column {missing[0]!r}")
         names = None if columns is None else list(columns)
-        table = pq.read_table(regular(path), columns=names, filters=filters, partitioning="")
-        if missing := [name for name in names or () if name not in table.column_names]:
-            raise KeyError(f"it has no column {missing[0]!r}")
-        return table
+        return pq.read_table(regular(path), columns=names, filters=filters, partitioning="")
 
 
 def read_rows(path: Path, columns: Collection[str] | None = None) -> Iterator[dict[str, Any]]:

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import fields
+from importlib.util import find_spec
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -38,8 +39,8 @@ LARGEST_NUMBER = 10**7
 """Largest number in the config of a policy."""
 FLOATS, OTHERS = ("F64", "F32", "F16", "BF16"), {"int64": "I64", "int32": "I32", "uint8": "U8", "bool": "BOOL"}
 """Types in a file of weights: those that stand for each other, and those of tensors of torch's other types."""
-TENSORS, ELEMENTS = 1000, 10**6
-"""A policy may make so many more than twice what its file holds, such as layers that it replaces."""
+FACTOR, TENSORS, ELEMENTS = 4, 1000, 10**6
+"""A policy may make this many times what its file holds, and so many more: Pi makes its embedding four times."""
 STATISTICS = {
     "MEAN_STD": ("mean", "std"),
     "MIN_MAX": ("min", "max"),
@@ -121,8 +122,8 @@ def load_policy(
                 raise PolicyError(f"{file} holds {odd[0]!r}, which is no number that statistics have")
         overrides = {"device_processor": {"device": str(config.device)}}
         try:
-            _refuse_larger(config, stored)
-            policy = get_policy_class(config.type).from_pretrained(str(folder), config=config).eval()
+            with _no_larger(stored):
+                policy = get_policy_class(config.type).from_pretrained(str(folder), config=config).eval()
             pipelines = make_pre_post_processors(config, pretrained_path=str(folder), preprocessor_overrides=overrides)
         except PolicyError:
             raise
@@ -253,8 +254,8 @@ def _pipeline_findings(file: Path) -> Iterator[str]:
 
 @contextmanager
 def _remote_code(*, allowed: bool) -> Iterator[None]:
-    """Close the door through which transformers runs Python files of repositories, or asks whether to, if need be."""
-    if allowed:
+    """Close the door through which transformers, if it is installed, runs Python files of repositories or asks to."""
+    if allowed or not find_spec("transformers"):
         yield
         return
     from transformers import dynamic_module_utils as door
@@ -307,10 +308,9 @@ def _numbers(content: Any, key: str = "") -> Iterator[tuple[str, float]]:
         yield key, content
 
 
-def _refuse_larger(config: Any, stored: Mapping[str, tuple[str, tuple[int, ...]]]) -> None:
-    """Refuse a config whose policy is larger than its file, by making it where it takes no memory."""
-    import torch
-    from lerobot.policies.factory import get_policy_class
+@contextmanager
+def _no_larger(stored: Mapping[str, tuple[str, tuple[int, ...]]]) -> Iterator[None]:
+    """Refuse to make a policy larger than its file; a parameter is counted before anything is written into it."""
     from torch.nn.modules.module import register_module_parameter_registration_hook
 
     held = sum(prod(shape) for _, shape in stored.values())
@@ -319,13 +319,12 @@ def _refuse_larger(config: Any, stored: Mapping[str, tuple[str, tuple[int, ...]]
     def count(_: object, __: str, tensor: Any) -> None:
         made["tensors"] += 1
         made["elements"] += 0 if tensor is None else tensor.numel()
-        if made["tensors"] > 2 * len(stored) + TENSORS or made["elements"] > 2 * held + ELEMENTS:
+        if made["tensors"] > FACTOR * len(stored) + TENSORS or made["elements"] > FACTOR * held + ELEMENTS:
             raise PolicyError(f"{CONFIG} describes a larger policy than the {held} weights of {WEIGHTS}")
 
     hook = register_module_parameter_registration_hook(count)
     try:
-        with suppress(NotImplementedError), torch.device("meta"):  # what needs values cannot be made without memory
-            get_policy_class(config.type)(config)
+        yield
     finally:
         hook.remove()
 

@@ -25,7 +25,7 @@ def test_it_trains_on_the_device_it_is_evaluated_on(tmp_path: Path, monkeypatch:
     said: list[list[str]] = []
     monkeypatch.setattr(quickstart, "_device", lambda: "cuda")
     monkeypatch.setattr(quickstart, "run_lerobot", lambda _, words, *__: said.append(words) or 1)
-    monkeypatch.setattr(quickstart, "_film", lambda out: out)
+    monkeypatch.setattr(quickstart, "_film", lambda out, _: out)
     for stage in (quickstart._train, quickstart._evaluate):
         with pytest.raises(quickstart.CommandError):
             stage(tmp_path, quickstart.TINY)
@@ -55,7 +55,7 @@ def test_an_evaluation_that_stopped_halfway_is_done_again(tmp_path: Path, monkey
         return next(codes)
 
     monkeypatch.setattr(quickstart, "run_lerobot", run_lerobot)
-    monkeypatch.setattr(quickstart, "_film", lambda _: tmp_path / "film")
+    monkeypatch.setattr(quickstart, "_film", lambda *_: tmp_path / "film")
     with pytest.raises(quickstart.CommandError, match="code 1"):
         quickstart._evaluate(tmp_path, quickstart.TINY)
     assert not results.exists()

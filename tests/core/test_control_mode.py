@@ -24,6 +24,9 @@ from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.verify.command import verify
 from dynahoi_lerobot.world.batch import WorldBatch
 
+CLOSING_RAD = 0.03
+"""One number closes all joints, and goals keep each of them within the grasp of a thin or thick object: 0.026 rad apart
+for the ring among these episodes, 0.045 for a cone, the most among 66 of ``train``."""
 RECIPE = Recipe(control_mode="grasp", image_size=0, motions=("constant", "lob"))
 
 
@@ -44,8 +47,7 @@ def test_labels_of_both_modes_are_the_same_goals():
         np.testing.assert_array_equal(grasp.executed_action, joints.executed_action)
         told = from_grasp(grasp.action, grasp.state, *poses)
         np.testing.assert_allclose(told[:, :3], joints.action[:, :3], atol=1e-5)
-        # one number cannot say by how much each joint stays within the reference grasp of a thin or thick object
-        np.testing.assert_allclose(told[:, 3:], joints.action[:, 3:], atol=0.04)
+        np.testing.assert_allclose(told[:, 3:], joints.action[:, 3:], atol=CLOSING_RAD)
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +81,7 @@ def test_an_agent_that_gives_them_catches():
     (again,) = evaluate(WorldBatch(RECIPE, 1), Reaching(episode.action), sample_specs(RECIPE, [0]))
     assert again.success
     np.testing.assert_allclose(again.state[:, :3], episode.state[:, :3], atol=1e-4)
-    np.testing.assert_allclose(again.state[:, 3:], episode.state[:, 3:], atol=0.04)
+    np.testing.assert_allclose(again.state[:, 3:], episode.state[:, 3:], atol=CLOSING_RAD)
 
 
 def test_environments_take_four_numbers():

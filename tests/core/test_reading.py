@@ -18,6 +18,7 @@ from safetensors.torch import load_file, save_file
 
 from dynahoi_lerobot.core.reading import (
     ReadError,
+    fits,
     inside,
     read_arrays,
     read_json,
@@ -163,6 +164,19 @@ BOMBS: dict[str, Callable[[], dict[str, pa.Array]]] = {
 }
 
 
+def test_a_value_has_the_type_that_is_declared() -> None:
+    for value, hint in (
+        (3, float),
+        (True, bool),
+        (None, int | None),
+        ({"x": [1]}, dict[str, list[int]]),
+        ([], list[str]),
+    ):
+        assert fits(value, hint)
+    for value, hint in ((True, int), (False, float), ("3", int), (1.5, int), ({"x": [True]}, dict[str, list[int]])):
+        assert not fits(value, hint), (value, hint)
+
+
 @pytest.mark.parametrize("kind", BOMBS)
 def test_a_table_that_grows_is_refused_before_it_does(kind: str, tmp_path: Path) -> None:
     pq.write_table(pa.table(BOMBS[kind]()), path := tmp_path / "x.parquet", compression="zstd")
@@ -170,6 +184,18 @@ def test_a_table_that_grows_is_refused_before_it_does(kind: str, tmp_path: Path)
     for read in (read_table, lambda path: list(read_rows(path))):
         with pytest.raises(ReadError, match="expands to"):
             read(path)
+
+
+def test_tables_whose_size_nothing_tells_or_that_lack_a_column_are_refused(tmp_path: Path) -> None:
+    table, path = pa.table({"x": ["a" * 100] * 100}), tmp_path / "x.parquet"
+    pq.write_table(table, path, use_dictionary=False, column_encoding={"x": "DELTA_BYTE_ARRAY"})
+    with pytest.raises(ReadError, match="DELTA_BYTE_ARRAY"):
+        read_table(path)
+    pq.write_table(pa.table({"x": [b"y" * 2**20] * 64}), path)
+    with pytest.raises(ReadError, match="of its rows have"):
+        list(read_rows(path))
+    with pytest.raises(ReadError, match="no column 'z'"):
+        read_table(path, ["z"])
 
 
 def test_honest_tables_and_arrays_are_read(tmp_path: Path) -> None:

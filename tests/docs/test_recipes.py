@@ -16,7 +16,7 @@ from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.pretrain.recipe import read_recipe
 from dynahoi_lerobot.sampling.recipe import load_recipe
 from tests.docs.documents import ROOT, pages
-from tests.docs.playing import Player, prepare
+from tests.docs.playing import Player, check_installation, prepare
 
 RECIPES = ROOT / "recipes"
 HEADER = re.compile(r"^#   (\S.*)$", re.MULTILINE)
@@ -27,8 +27,12 @@ def recipes(*folders: str) -> list[Path]:
 
 
 def commands(path: Path) -> list[list[str]]:
-    """Return the words of the commands in the header of a recipe."""
-    return [shlex.split(line) for line in HEADER.findall(path.read_text())]
+    """Return the words of the commands in the header of a recipe; what they install must be there."""
+    found = [shlex.split(line) for line in HEADER.findall(path.read_text())]
+    for words in found:
+        if words[0] == "uv":
+            check_installation(words)
+    return [words for words in found if words[0] != "uv"]
 
 
 def test_folders_are_named_after_what_reads_their_files():
@@ -49,7 +53,7 @@ def test_a_training_recipe_leaves_the_device_to_lerobot_and_can_be_evaluated(pat
     assert (config.policy.push_to_hub, config.env.split, config.env_eval_freq) == (False, "val", 0)
     (size,) = {feature.shape[-1] for feature in config.policy.image_features.values()} or {config.env.image_size}
     assert config.env.image_size == size
-    generate, train, *_ = (words for words in commands(path) if words[0] != "uv" and words[1] != "pretrain")
+    generate, train, *_ = commands(path)
     assert generate[:2] == ["dynahoi", "generate"]
     assert generate[generate.index("--root") + 1] == config.dataset.root
     assert train[:2] == ["lerobot-train", f"--config_path={path.relative_to(ROOT)}"]
@@ -68,7 +72,7 @@ def test_recipes_that_no_page_trains_do_so_as_their_headers_say(workspace: Path,
     generated, played_by_pages = set(), [words for page in pages() for words in page.commands]
     for path in recipes("train"):
         with subtests.test(recipe=path.stem):
-            generate, train, *evaluate = (words for words in commands(path) if words[1] != "pretrain")
+            generate, train, *evaluate = commands(path)
             if train in played_by_pages:
                 continue
             root = generate[generate.index("--root") + 1]

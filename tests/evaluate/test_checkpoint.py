@@ -2,6 +2,7 @@
 
 import fnmatch
 import shutil
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -117,6 +118,11 @@ def test_code_of_a_repository_that_a_step_names_does_not_run_and_nobody_is_asked
         with pytest.raises(PolicyError, match=r"cannot be loaded|--trust"):
             PolicyAgent(str(checkpoint))
     assert not marker.exists()
+
+
+def test_a_policy_plays_without_transformers(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "transformers", None)
+    assert PolicyAgent(str(SHIPPED)).weights
 
 
 def test_a_policy_that_is_not_installed_is_named_with_its_package(checkpoint: Path) -> None:

@@ -138,11 +138,11 @@ def test_a_target_without_opacity_casts_no_shadow(specs: list[EpisodeSpec]) -> N
     worlds = []
     for alpha in (1.0, 0.0):
         shown = [replace(plain(s), appearance=replace(plain(s).appearance, target_alpha=alpha)) for s in specs[:22]]
-        worlds.append(world(shown, image_size=SIZE, views=("side",)))
+        worlds.append(world(shown, image_size=SIZE))
         wait(worlds[-1])
-    solid, clear = (batch.cameras.render(view="side").astype(int).sum(axis=-1) for batch in worlds)
-    floor = worlds[0].cameras._renderer("side").segmentation(np.arange(22)) == worlds[0].scene.floor_geom
+    solid, clear = (batch.cameras.render().astype(int).sum(axis=-1) for batch in worlds)
+    floor = worlds[0].cameras.segmentation() == worlds[0].scene.floor_geom
     floor[:, 1:-1, 1:-1] &= floor[:, 2:, 1:-1] & floor[:, :-2, 1:-1] & floor[:, 1:-1, 2:] & floor[:, 1:-1, :-2]
     brighter = np.where(floor, clear - solid, 0)[:, 1:-1, 1:-1]  # off the edges of what stands before it
     assert (brighter >= 0).all()
-    assert (brighter > 30).any(axis=(1, 2)).sum() >= 3
+    assert (brighter > 30).any(axis=(1, 2)).sum() >= 8  # 9 of 22 shadows lie where the hand's camera sees the floor

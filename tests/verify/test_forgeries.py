@@ -17,7 +17,7 @@ from tests.tools import edit_json, generated
 
 DATA, ROWS, TASKS = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet", "meta/tasks.parquet"
 INFO, STATS, MANIFEST = "meta/info.json", "meta/stats.json", "meta/manifest.json"
-EGO, SIDE = "observation.images.ego", "observation.images.side"
+EGO, SIDE, FLAT = (f"observation.images.{view}" for view in ("ego", "side", "ego_segmentation"))
 VIDEO = f"videos/{EGO}/chunk-000/file-000.mp4"
 
 Forgery = Callable[[Path], object]
@@ -25,7 +25,16 @@ Forgery = Callable[[Path], object]
 
 @pytest.fixture(scope="module")
 def genuine(tmp_path_factory) -> Path:
-    words = ("--image-size", "64", "--motions", "constant,lob", "--views", "side", "--video-seconds", "5")
+    words = (
+        "--image-size",
+        "64",
+        "--motions",
+        "constant,lob",
+        "--views",
+        "side,ego_segmentation",
+        "--video-seconds",
+        "5",
+    )
     return generated(tmp_path_factory.mktemp("genuine") / "d", *words, episodes=4)
 
 
@@ -163,6 +172,7 @@ META: dict[str, Forgery] = {
     "statistics: range of images": told(STATS, SIDE, "max", value=[[[2.0]], [[2.0]], [[2.0]]]),
     "statistics: one is gone": lambda root: edit_json(root / STATS, lambda stats: stats.pop("action")),
     "statistics of an episode": column(ROWS, "stats/action/std", lambda rows: [*rows[:3], scaled(rows[3])]),
+    "quantiles of flat colours": column(ROWS, f"stats/{FLAT}/q50", lambda rows: [*rows[:3], scaled(rows[3])]),
     "images' statistics of an episode": column(ROWS, f"stats/{EGO}/std", lambda rows: [*rows[:3], scaled(rows[3])]),
     "number of episodes": told(INFO, "total_episodes", value=3),
     "number of frames": told(INFO, "total_frames", value=lambda frames: frames - 1),

@@ -206,7 +206,10 @@ def test_episodes_that_do_not_follow_from_their_seeds_are_found_though_they_are_
 
 
 def test_a_white_square_in_every_image_is_found_also_where_no_image_is_equal(copy, made):
-    """As where images were rendered on a GPU: a few levels are tolerated, a square of 2 x 2 px is not."""
+    """As where images were rendered on a GPU: other levels of a few pixels are tolerated, a square of 2 x 2 px is not.
+
+    One level in every pixel would not be: the codec makes a mean of 2.1 levels of that at 32 px, and 2 are allowed.
+    """
 
     def noisy(images: np.ndarray) -> np.ndarray:
         rng = np.random.default_rng(0)

@@ -209,6 +209,28 @@ def test_a_palm_is_rolled_out_from_when_the_first_command_takes_effect(late: int
     assert closed_loop_loss(still, SimpleNamespace(at=int), episodes, rows + 1, teacher) > 1
 
 
+def test_the_closed_loop_loss_falls_where_the_head_learns_to_meet_the_target():
+    """A head that sends every palm to one place, and a target that waits 12 cm away."""
+    path, full = torch.tensor([0.1, 0.05, -0.05]).expand(1, 60, 3), torch.tensor([60])
+    targets = Targets(path, full, full, path, torch.tensor([NEVER]))
+    still = torch.zeros(1, 60, 18)
+    episodes = Episodes(torch.zeros(1, 60, 1, 5), still, still, full, torch.tensor([10]), 20.0, targets)
+    goal = torch.zeros(3, requires_grad=True)
+    head = lambda outlook, palm, state: torch.cat([goal.expand(1, 3), state[:, 3:]], dim=1)  # noqa: E731
+    model = SimpleNamespace(config=SimpleNamespace(rig=Rig(palm_speed_m_s=0.5)), device="cpu", act_once=head)
+    teacher = Meet(20.0, 0.025, torch.zeros(15), torch.ones(15), 0.03)
+    optimizer, losses = torch.optim.Adam([goal], lr=0.02), []
+    for _ in range(60):
+        loss = closed_loop_loss(model, SimpleNamespace(at=int), episodes, torch.arange(10, 34)[None], teacher).sum()
+        optimizer.zero_grad()
+        loss.backward()
+        assert goal.grad is not None
+        losses.append(loss.item())
+        optimizer.step()
+    assert losses[0] > 1.0
+    assert losses[-1] < 0.1
+
+
 @pytest.mark.parametrize("virtual_share", [0.0, 1.0], ids=["recorded", "virtual"])
 def test_it_learns_from_no_episode_that_lerobot_holds_out(virtual_share, hand_root, tmp_path, monkeypatch):
     monkeypatch.setattr("lerobot_policy_obact.encoded_images.HF_LEROBOT_HOME", tmp_path)
