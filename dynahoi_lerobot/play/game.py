@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import CONTROL_HZ, EGO_VIEW
+from dynahoi_lerobot.core.conventions import EGO_VIEW
 from dynahoi_lerobot.evaluate.gif import encode_gif, phases_of
 from dynahoi_lerobot.metrics import METRICS, measure
 from dynahoi_lerobot.rollout.loop import evaluate
@@ -85,16 +85,8 @@ class Game:
         number = PRACTICE_STEP * (self.practised + 1) if practising else self.numbers[0]
         world.begin(number, self.player)
         world.start()
-        spec = world.spec
         while (episode := world.finished) is None:
-            frame = int(world.batch.frame[0])
-            await player.show(
-                world.observe().images[EGO_VIEW][0],
-                task=spec.task,
-                window_s=max(0.0, (spec.window_frames - frame) / CONTROL_HZ),
-                left_s=(spec.window_frames + spec.length_frames + 1 - frame) / CONTROL_HZ,
-                caught=bool(world.batch.localized[0]),
-            )
+            await player.show(world.observe().images[EGO_VIEW][0], **world.facts)
             await asyncio.sleep(max(0.0, world.next_tick_s - world.now_s))
             world.command(player.steering.command(world))
         return episode

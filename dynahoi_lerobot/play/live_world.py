@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -94,6 +94,17 @@ class LiveWorld:
         return self._session.batch
 
     @property
+    def facts(self) -> dict[str, Any]:
+        """What a player is told of the present: the task, seconds left of window and episode, whether it is caught."""
+        spec, frame = self.spec, int(self.batch.frame[0])
+        return {
+            "task": spec.task,
+            "window_s": max(0, spec.window_frames - frame) / CONTROL_HZ,
+            "left_s": (spec.window_frames + spec.length_frames + 1 - frame) / CONTROL_HZ,
+            "caught": bool(self.batch.localized[0]),
+        }
+
+    @property
     def now_s(self) -> float:
         """The time [s]."""
         return self._clock()
@@ -143,7 +154,7 @@ class LiveWorld:
         return observation
 
     def catch_up(self) -> None:
-        """Move the world to the present; the methods below do so themselves."""
+        """Move the world to the present, as whoever looks at it or commands it does."""
         if not self._realtime or self._started_s is None:
             return
         due = int((self._clock() - self._started_s) * CONTROL_HZ + 0.5)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cv2
-from aiohttp import WSMsgType, web
+from aiohttp import WSCloseCode, WSMsgType, web
 
 from dynahoi_lerobot.play.steering import Steering
 
@@ -96,12 +96,13 @@ class PlayServer:
             raise ValueError(f"host {host} can be reached by others, so it needs a token")
         self.address = ""
         self._game, self._host, self._port, self._token = game, host, port, token
-        self._playing = False
+        self._playing: web.WebSocketResponse | None = None
 
     async def run(self, started: Callable[[str], None]) -> None:
         """Serve until cancelled; ``started`` is called with the address of the page."""
         app = web.Application()
         app.add_routes([web.get("/", self._page), web.get("/play", self._socket)])
+        app.on_shutdown.append(self._leave)
         runner = web.AppRunner(app, access_log=None, handle_signals=False)
         await runner.setup()
         try:
@@ -114,6 +115,10 @@ class PlayServer:
             await asyncio.Event().wait()
         finally:
             await runner.cleanup()
+
+    async def _leave(self, app: web.Application) -> None:
+        if self._playing is not None:
+            await self._playing.close(code=WSCloseCode.GOING_AWAY, message=b"The game is over.")
 
     def _check(self, request: web.Request) -> None:
         """Refuse whoever lacks the token, and pages of other origins."""
@@ -139,11 +144,10 @@ class PlayServer:
         self._check(request)
         socket = web.WebSocketResponse(max_msg_size=MAX_MESSAGE_BYTES, heartbeat=20.0)
         await socket.prepare(request)
-        if self._playing:
+        if self._playing is not None:
             await socket.close(code=BUSY, message=b"somebody is playing already; close the other tab")
             return socket
-        self._playing = True
-        player = Player(socket)
+        self._playing, player = socket, Player(socket)
         game = asyncio.ensure_future(self._game(player))
         try:
             async for message in socket:
@@ -154,7 +158,7 @@ class PlayServer:
             try:
                 await game  # it ends by itself once the page is gone, and saves what was played
             finally:
-                self._playing = False
+                self._playing = None
         return socket
 
 
