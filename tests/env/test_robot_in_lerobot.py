@@ -2,6 +2,7 @@
 
 import sys
 import threading
+import time
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from lerobot.rollout.strategies import dagger
 from lerobot_policy_obact import launch_policy_server
 from lerobot_robot_dynahoi import DynahoiRobotConfig
 
-from dynahoi_lerobot.evaluate.results import read_results
+from dynahoi_lerobot.evaluate.results import METRICS_FILE, read_results
 from tests.tools import generated
 
 ROBOT = ("--robot.type=dynahoi", "--robot.realtime=false", "--robot.task=constant", "--robot.image_size=32")
@@ -125,7 +126,7 @@ def test_the_expert_corrects_a_policy(lerobot, actor: Path, tmp_path: Path, monk
             "--strategy.smooth_handover=false")  # fmt: skip
     corrections = LeRobotDataset("local/rollout_dagger", root=tmp_path / "rollout_dagger")
     assert corrections.num_episodes == 1
-    assert corrections[0]["intervention"]
+    assert all(corrections.hf_dataset["intervention"])
 
 
 @pytest.mark.slow
@@ -133,14 +134,14 @@ def test_a_policy_server_moves_it(actor: Path, tmp_path: Path, monkeypatch: pyte
     port = "50917"
     monkeypatch.setattr(sys, "argv", ["server", "--host=127.0.0.1", f"--port={port}", "--fps=100"])
     threading.Thread(target=launch_policy_server.main, daemon=True).start()
-    robot = DynahoiRobotConfig(task="constant", image_size=32, realtime=False, results_dir=tmp_path / "r")
-    client = RobotClient(RobotClientConfig("obact", str(actor), robot, 4, TASK, f"127.0.0.1:{port}", fps=100))
+    options = {"realtime": False, "restart_s": float("inf"), "results_dir": tmp_path / "r"}
+    config = DynahoiRobotConfig(task="constant", image_size=32, **options)
+    client = RobotClient(RobotClientConfig("obact", str(actor), config, 4, TASK, f"127.0.0.1:{port}", fps=100))
     assert client.start()
     receiver = threading.Thread(target=client.receive_actions, daemon=True)
     receiver.start()
     threading.Thread(target=client.control_loop, args=(TASK,), daemon=True).start()
-    world, waiting = client.robot.world, threading.Event()
-    while not world.finished and not waiting.wait(0.1):
-        pass
+    while not (tmp_path / "r" / METRICS_FILE).exists():
+        time.sleep(0.1)
     client.stop()
     assert len(read_results(tmp_path / "r").rows) == 1

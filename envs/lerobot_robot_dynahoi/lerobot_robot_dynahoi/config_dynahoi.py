@@ -26,8 +26,8 @@ class DynahoiRobotConfig(RobotConfig):
         image_size: side of the camera images [px].
         views: cameras besides ``ego``.
         realtime: whether the world moves at 20 Hz by the clock; else every action moves it by one frame.
-        restart_s: after an episode has ended, the next one begins this much later [s]; None if only LeRobot begins
-            episodes, as it does when it records.
+        restart_s: after an episode has ended, the next one begins this much later [s], never if ``inf``; None if
+            LeRobot begins episodes, as it does when it records.
         results_dir: where metrics are written, as by ``dynahoi evaluate``, and resumed; nowhere if None.
         player: who moves the hand, in those results.
     """

@@ -53,8 +53,8 @@ class DynahoiRobot(Simulated, Robot):
     """One hand and one moving object; the palm's centre [m], home frame, and 15 joint angles [rad] end in ``.pos``.
 
     An episode begins with the first action after it was laid out; when it is over the world stands still. The next one
-    is laid out when LeRobot begins an episode of its own, which is told by the pause before that, or after the config's
-    ``restart_s``.
+    is laid out when LeRobot begins an episode of its own, which is told by the pause before that, or, where LeRobot has
+    no episodes, after the config's ``restart_s``.
     """
 
     config_class = DynahoiRobotConfig
@@ -109,12 +109,9 @@ class DynahoiRobot(Simulated, Robot):
         Raises:
             DeviceNotConnectedError: before ``connect``.
         """
-        world, now_s = self._connected_world(), self._clock()
+        world = self._connected_world()
         self._note_end(world)
-        pause_s = LONG_PAUSE_S if self._ended_s is None else PAUSE_S
-        paused = self._acted_s is not None and now_s - self._acted_s > pause_s
-        restart_s = self.config.restart_s
-        if paused or (self._ended_s is not None and restart_s is not None and now_s - self._ended_s >= restart_s):
+        if self._next_is_due():
             self._begin(world)
         observation = world.observe()
         images = {view: image[0] for view, image in observation.images.items()}
@@ -152,6 +149,12 @@ class DynahoiRobot(Simulated, Robot):
         if self.world is None:
             raise DeviceNotConnectedError(f"{self} is not connected; call connect first")
         return self.world
+
+    def _next_is_due(self) -> bool:
+        now_s, ended_s, restart_s = self._clock(), self._ended_s, self.config.restart_s
+        if restart_s is not None:
+            return ended_s is not None and now_s - ended_s >= restart_s
+        return self._acted_s is not None and now_s - self._acted_s > (LONG_PAUSE_S if ended_s is None else PAUSE_S)
 
     def _begin(self, world: LiveWorld) -> None:
         world.begin(self._number, self.config.player)
