@@ -55,10 +55,9 @@ class Game:
 
     async def __call__(self, player: Player) -> None:
         """Play with ``player`` until they leave."""
-        while not player.gone:
+        while True:
             await player.tell(ready={"left": len(self.numbers), "total": self.total, "practised": self.practised})
-            asked = await self._asked(player)
-            if asked is None:
+            if (asked := await player.asked.get()) is None:
                 return
             practising = asked != SCORED or not self.numbers
             world = self.practice if practising else self.world
@@ -71,23 +70,13 @@ class Game:
             if not player.gone:
                 await player.tell(result=await asyncio.to_thread(self._result, world, episode, practising))
 
-    async def _asked(self, player: Player) -> str | None:
-        """Wait for a request; None if the player leaves."""
-        while not player.gone:
-            try:
-                return (await asyncio.wait_for(player.asked.get(), 0.2))["play"]
-            except TimeoutError:
-                continue
-        return None
-
     async def _play(self, player: Player, world: LiveWorld, practising: bool) -> Episode:
         """Play one episode; the world goes on if the page is closed in the middle of it."""
         number = PRACTICE_STEP * (self.practised + 1) if practising else self.numbers[0]
         world.begin(number, self.player)
-        world.start()
         while (episode := world.finished) is None:
             await player.show(world.observe().images[EGO_VIEW][0], **world.facts)
-            await asyncio.sleep(max(0.0, world.next_tick_s - world.now_s))
+            await asyncio.sleep(world.rest_s)
             world.command(player.steering.command(world))
         return episode
 

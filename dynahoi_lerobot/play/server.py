@@ -33,13 +33,13 @@ class Player:
     Attributes:
         steering: the latest input.
         sent_ms: the time that the page gave with it, by its own clock [ms]; it is sent back with the next image.
-        asked: what the page asks for, such as ``{"play": "scored"}``, oldest first.
+        asked: what the page asks to play, oldest first; None once the page is closed.
     """
 
     socket: web.WebSocketResponse
     steering: Steering = field(default_factory=Steering)
     sent_ms: float | None = None
-    asked: asyncio.Queue[dict[str, Any]] = field(default_factory=lambda: asyncio.Queue(16))
+    asked: asyncio.Queue[str | None] = field(default_factory=lambda: asyncio.Queue(16))
 
     @property
     def gone(self) -> bool:
@@ -59,15 +59,21 @@ class Player:
         if not self.gone:
             await self.socket.send_str(json.dumps(values, allow_nan=False))
 
+    def leave(self) -> None:
+        """Ask for nothing any more."""
+        while not self.asked.empty():
+            self.asked.get_nowait()
+        self.asked.put_nowait(None)
+
     def heed(self, message: Any) -> None:
         """Take a decoded message.
 
         Raises:
             ValueError: if it is neither an input nor a request.
         """
-        if isinstance(message, dict) and isinstance(message.get("play"), str):
+        if isinstance(message, dict) and isinstance(play := message.get("play"), str):
             if not self.asked.full():
-                self.asked.put_nowait(message)
+                self.asked.put_nowait(play)
             return
         self.steering = Steering.read(message)
         sent = message.get("sent")
@@ -75,7 +81,7 @@ class Player:
 
 
 class PlayServer:
-    """Serves the page, and hands each player to ``game`` until they leave.
+    """Serves the page to one player at a time, whom ``game`` plays with.
 
     Attributes:
         address: of the page, with the token if there is one; empty until the server runs.
@@ -85,7 +91,7 @@ class PlayServer:
         """Take what plays with a player, and where to listen.
 
         Args:
-            game: returns when the player has left; the server cancels it when they close the page.
+            game: returns when the player has left.
             host, port: where to listen; port 0 takes a free one.
             token: what the address must hold; empty for none, on loopback alone.
 
@@ -155,6 +161,7 @@ class PlayServer:
                     break
         finally:
             await socket.close()
+            player.leave()
             try:
                 await game  # it ends by itself once the page is gone, and saves what was played
             finally:

@@ -66,7 +66,7 @@ class DynahoiRobot(Simulated, Robot):
         """Take a config; ``clock`` returns the time [s]."""
         super().__init__(config)
         self.config, self.recipe, self._clock = config, config.recipe, clock
-        self.world: LiveWorld | None = None
+        self._world: LiveWorld | None = None
         self._number = config.seed  # of the next episode
         self._acted_s: float | None = None  # when the last action of this episode came
         self._ended_s: float | None = None  # when the episode was seen to be over
@@ -87,7 +87,18 @@ class DynahoiRobot(Simulated, Robot):
     @property
     def is_connected(self) -> bool:
         """Whether the world exists."""
-        return self.world is not None
+        return self._world is not None
+
+    @property
+    def world(self) -> LiveWorld:
+        """The world.
+
+        Raises:
+            DeviceNotConnectedError: before ``connect``.
+        """
+        if self._world is None:
+            raise DeviceNotConnectedError(f"{self} is not connected; call connect first")
+        return self._world
 
     def connect(self, calibrate: bool = True) -> None:
         """Make the world and lay out the first episode, after those that ``results_dir`` holds.
@@ -99,8 +110,8 @@ class DynahoiRobot(Simulated, Robot):
         del calibrate
         self._scores = self._open.enter_context(scores_of(self.config.player, self.recipe, self.config.results_dir))
         self._number = self.config.seed + len(self._scores.results.rows)
-        self.world = LiveWorld(self.recipe, self.config.task, realtime=self.config.realtime, clock=self._clock)
-        self._begin(self.world)
+        self._world = LiveWorld(self.recipe, self.config.task, realtime=self.config.realtime, clock=self._clock)
+        self._begin()
         DynahoiRobot.connected.append(self)
 
     def get_observation(self) -> dict[str, Any]:
@@ -109,11 +120,10 @@ class DynahoiRobot(Simulated, Robot):
         Raises:
             DeviceNotConnectedError: before ``connect``.
         """
-        world = self._connected_world()
-        self._note_end(world)
+        self._note_end()
         if self._next_is_due():
-            self._begin(world)
-        observation = world.observe()
+            self._begin()
+        observation = self.world.observe()
         images = {view: image[0] for view, image in observation.images.items()}
         return dict(zip(NAMES, observation.state[0].tolist(), strict=True)) | images
 
@@ -126,29 +136,23 @@ class DynahoiRobot(Simulated, Robot):
         """
         if missing := [name for name in NAMES if name not in action]:
             raise ValueError(f"an action of robot dynahoi needs {', '.join(NAMES)}, but has no {missing[0]}")
-        world = self._connected_world()
-        world.command(np.array([float(action[name]) for name in NAMES]))
+        self.world.command(np.array([float(action[name]) for name in NAMES]))
         self._acted_s = self._clock()
-        self._note_end(world)
+        self._note_end()
         return action
 
     def disconnect(self) -> None:
         """End the use of the world, and print the metrics of the episodes that were played to their end."""
-        if (world := self.world) is None:
+        if self._world is None:
             return
-        self._note_end(world)
+        self._note_end()
         if self._acted_s is not None and self._ended_s is None:
-            logger.info("the episode breaks off in frame %d and does not count", world.batch.frame[0])
-        self.world = None
+            logger.info("the episode breaks off in frame %d and does not count", self.world.batch.frame[0])
+        self._world = None
         DynahoiRobot.connected.remove(self)
         self._open.close()
         if self._scores.results.rows:
             logger.info("\n%s", results_table([self._scores.results]))
-
-    def _connected_world(self) -> LiveWorld:
-        if self.world is None:
-            raise DeviceNotConnectedError(f"{self} is not connected; call connect first")
-        return self.world
 
     def _next_is_due(self) -> bool:
         now_s, ended_s, restart_s = self._clock(), self._ended_s, self.config.restart_s
@@ -156,15 +160,15 @@ class DynahoiRobot(Simulated, Robot):
             return ended_s is not None and now_s - ended_s >= restart_s
         return self._acted_s is not None and now_s - self._acted_s > (LONG_PAUSE_S if ended_s is None else PAUSE_S)
 
-    def _begin(self, world: LiveWorld) -> None:
-        world.begin(self._number, self.config.player)
-        logger.info("episode %d: %s", self._number, world.spec.task)
+    def _begin(self) -> None:
+        self.world.begin(self._number, self.config.player)
+        logger.info("episode %d: %s", self._number, self.world.spec.task)
         self._number, self._acted_s, self._ended_s = self._number + 1, None, None
 
-    def _note_end(self, world: LiveWorld) -> None:
+    def _note_end(self) -> None:
         """Write down the episode, if it has just ended."""
-        world.catch_up()
-        if world.finished is not None and self._ended_s is None:
+        self.world.catch_up()
+        if (episode := self.world.finished) is not None and self._ended_s is None:
             self._ended_s = self._clock()
-            logger.info("episode over: %s; %d frames without a new action", world.finished.stage, world.missed)
-            self._scores.add(world.finished)
+            logger.info("episode over: %s; %d frames without a new action", episode.stage, self.world.missed)
+            self._scores.add(episode)

@@ -50,10 +50,9 @@ class _Mover(Simulated, Teleoperator):
         Raises:
             DeviceNotConnectedError: if this process has no connected robot of type ``dynahoi``.
         """
-        world = DynahoiRobot.connected[-1].world if DynahoiRobot.connected else None
-        if world is None:
+        if not DynahoiRobot.connected:
             raise DeviceNotConnectedError(f"{self.name} moves robots of type dynahoi, and none is connected")
-        return dict(zip(NAMES, self._command(world).tolist(), strict=True))
+        return dict(zip(NAMES, self._command(DynahoiRobot.connected[-1].world).tolist(), strict=True))
 
     def send_feedback(self, feedback: dict[str, Any]) -> None:
         """Ignore it."""
