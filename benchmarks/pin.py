@@ -154,8 +154,9 @@ def _in_lines(pinned: Pinned) -> Pinned:
 
 def _content(spec: EpisodeSpec) -> dict[str, Any]:
     motion = [spec.motion.name, spec.motion.parameters()]
-    drawn = {name: value for name, value in vars(spec).items() if name not in ("open_joints", "reference_joints")}
-    return {**drawn, "motion": motion, "fingerprint": ""}
+    apart = ("open_joints", "reference_joints", "target_path_w")
+    drawn = {name: value for name, value in vars(spec).items() if name not in apart}
+    return {**drawn, "motion": motion, "oracle_path": spec.target_path_w, "fingerprint": ""}
 
 
 def _digest(value: Any) -> str:

@@ -1,6 +1,6 @@
 """Play the real page in the system's Chromium, along the expert's path: S_loc, jitter and latency.
 
-    python benchmarks/play.py --episodes 20 --screenshots docs/images
+    python benchmarks/play.py --episodes 20 --screenshots pictures
 
 The pointer is moved and keys are pressed through the DevTools protocol, so that everything between a person's hand and
 the world is in it. Chromium is Debian's package `chromium`.
@@ -10,11 +10,13 @@ import argparse
 import asyncio
 import base64
 import json
+import os
 import shutil
 import subprocess
 import tempfile
 from contextlib import asynccontextmanager
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +37,7 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.world.sensors import camera_pose, intrinsics
 
 DEADBAND_M, CLOSED_RAD = 0.01, 0.1
+WIDTHS_PX = (390, 820, 1280)
 FLAGS = [
     "--headless=new",
     "--no-sandbox",
@@ -75,11 +78,15 @@ class Tab:
             while not await self.value(expression):
                 await asyncio.sleep(0.1)
 
-    async def screenshot(self, path: Path, width: int, height: int) -> None:
-        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
-        await self.call("Emulation.setDeviceMetricsOverride", **size)
-        await asyncio.sleep(0.5)
-        path.write_bytes(base64.b64decode((await self.call("Page.captureScreenshot", format="png"))["data"]))
+    async def screenshots(self, folder: Path, name: str) -> None:
+        """Take pictures of the whole page in all widths, light and dark."""
+        for width, scheme in product(WIDTHS_PX, ("light", "dark")):
+            size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 600}
+            await self.call("Emulation.setDeviceMetricsOverride", **size)
+            await self.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+            await asyncio.sleep(0.3)
+            told = await self.call("Page.captureScreenshot", format="png", captureBeyondViewport=True)
+            (folder / f"{name}_{width}_{scheme}.png").write_bytes(base64.b64decode(told["data"]))
         await self.call("Emulation.clearDeviceMetricsOverride")
 
 
@@ -158,29 +165,26 @@ async def played(args: argparse.Namespace) -> dict[str, Any]:
             await tab.until("document.querySelectorAll('#panel button').length > 1")
             await tab.value("[...document.querySelectorAll('#panel button')].at(-1).click()")
             await tab.until("playing && frame")
-            if args.screenshots and number == 1:
-                following = asyncio.ensure_future(follow_expert(tab, world))
-                await asyncio.sleep(1.5)
-                await tab.screenshot(args.screenshots / "play_acting.png", 1280, 900)
-                await following
-            else:
-                await follow_expert(tab, world)
+            await follow_expert(tab, world)
             await tab.until(f"(window.results || []).length >= {2 * (number + 1)}")
         figures = await tab.value("measured()")
         if args.screenshots:
-            await tab.screenshot(args.screenshots / "play.png", 1280, 1250)
-            await tab.screenshot(args.screenshots / "play_phone.png", 400, 1000)
+            args.screenshots.mkdir(parents=True, exist_ok=True)
+            await tab.screenshots(args.screenshots, "result")
+            await tab.value("[...document.querySelectorAll('#panel button')].at(0).click()")
+            await tab.until("playing && frame")
+            await tab.screenshots(args.screenshots, "playing")
     server.cancel()
     rates = {
         name: float(np.mean([measure(episode)[name] or 0 for episode in episodes])) for name in ("S_loc", "S_joint")
     }
-    return {"episodes": len(episodes), **rates, **figures}
+    return {"episodes": len(episodes), **rates, **figures, "load": os.getloadavg()[0]}
 
 
 def main() -> None:
     parser = benchmark_parser(__doc__, episodes=1)
     parser.add_argument("--episodes", type=int, default=20)
-    parser.add_argument("--screenshots", type=Path, help="folder for pictures of the page at 1280 and 400 px")
+    parser.add_argument("--screenshots", type=Path, help="folder for pictures of the page")
     args = parser.parse_args()
     figures = asyncio.run(played(args))
     print(json.dumps(figures, indent=2))

@@ -54,7 +54,7 @@ class Track:
         localized: (T,) bool.
         contacts: of shape (T,), what touched the target; zero if the rule uses no contact sensors.
         palm_distance: (T,) palm centre to target centre [m].
-        palm_pos_h: (T, 3) palm centre [m], world.
+        palm_pos_h: (T, 3) palm centre [m], home frame.
     """
 
     joints: np.ndarray

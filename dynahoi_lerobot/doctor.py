@@ -36,14 +36,7 @@ from dynahoi_lerobot.world.batch import WorldBatch
 
 @dataclass(frozen=True)
 class Fact:
-    """One finding about this machine.
-
-    Attributes:
-        name: what was examined.
-        found: what is there, with units.
-        follows: the consequence for the commands; empty if none.
-        problem: whether the installed commands need something that is missing or wrong.
-    """
+    """What was found of a part of this machine, what follows for the commands, and whether they need something else."""
 
     name: str
     found: str
@@ -66,11 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the findings; return the exit code: 0 without problems, 1 with problems.
-
-    Raises:
-        ValueError: if the folder or the file is not writable.
-    """
+    """Print the findings; return the exit code: 0 without problems, 1 with problems."""
     check_output(args.folder)
     facts = []
     for fact in chain(examine(args.folder), compare(play(EPISODES), read_reference()) if args.reference else ()):
@@ -96,46 +85,38 @@ def examine(folder: Path) -> Iterator[Fact]:
             yield Fact(name, f"check failed: {type(error).__name__}: {error}", problem=True)
 
 
-WORKER_GB = 0.9
-"""Memory of a process of ``dynahoi generate`` at 128 px (docs/notes/scale.md)."""
+WORKER_GB, EPISODE_MB, LEAST_GB = 0.9, 0.13, 0.5
+"""Memory of a process of ``dynahoi generate`` and size of an episode, at 128 px (docs/notes/scale.md), and disk space
+that the quickstart and the compiled kernels need."""
 
 
 def processor() -> Iterator[Fact]:
     """Yield the available cores and the memory."""
     count, memory_gb = cores(), os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
-    workers = max(1, min(count, int(memory_gb / WORKER_GB)))
-    yield Fact("cores", f"{count}, {platform.machine()}", f"`dynahoi generate --workers {workers}`")
-    enough = memory_gb >= WORKER_GB
-    yield Fact("memory", f"{memory_gb:.1f} GB", "" if enough else f"a worker needs {WORKER_GB} GB", problem=not enough)
+    room = int(memory_gb / WORKER_GB)
+    yield Fact("cores", f"{count}, {platform.machine()}", f"`dynahoi generate --workers {max(1, min(count, room))}`")
+    yield Fact("memory", f"{memory_gb:.1f} GB", "" if room else f"a worker needs {WORKER_GB} GB", problem=not room)
 
 
 def cores() -> int:
     """Return the number of cores available to this process."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-EPISODE_MB = 0.13
-"""Size of an episode at 128 px (docs/notes/scale.md)."""
-LEAST_GB = 0.5
-"""Disk space that the quickstart and the compiled kernels need."""
+    return len(os.sched_getaffinity(0))
 
 
 def disk(folder: Path) -> Iterator[Fact]:
     """Yield the free space of the nearest existing folder."""
     place = next(parent for parent in (folder.absolute(), *folder.absolute().parents) if parent.is_dir())
     free_gb = shutil.disk_usage(place).free / 1e9
-    enough = free_gb >= LEAST_GB
     room = f"room for about {free_gb / EPISODE_MB:.0f} thousand episodes at 128 px"
-    follows = room if enough else f"{LEAST_GB} GB are needed"
-    yield Fact("disk", f"{free_gb:.1f} GB free in {place}", follows, problem=not enough)
+    follows = f"{LEAST_GB} GB are needed" if (full := free_gb < LEAST_GB) else room
+    yield Fact("disk", f"{free_gb:.1f} GB free in {place}", follows, problem=full)
 
 
 def encoded_images() -> Iterator[Fact]:
     """Yield the size of ObAct's cache of encoded images, where LeRobot keeps its datasets."""
     cache = os.environ.get("HF_HOME") or Path.home() / ".cache" / "huggingface"
     folder = Path(os.environ.get("HF_LEROBOT_HOME") or Path(cache) / "lerobot") / "obact_sightings"
-    sizes = [file.stat().st_size for file in folder.glob("*.safetensors")] if folder.is_dir() else []
-    if sizes:
+    if sizes := [file.stat().st_size for file in folder.glob("*.safetensors")]:
         yield Fact("encoded images", f"{len(sizes)} datasets, {sum(sizes) / 1e6:.0f} MB in {folder}", "may be deleted")
 
 
@@ -150,11 +131,9 @@ def gpu() -> Iterator[Fact]:
         return
     import torch
 
-    if torch.cuda.is_available():
-        yield Fact("torch device", f"CUDA {torch.version.cuda}", "policies run on the GPU")
-    else:
-        wanted = "; install a torch with CUDA to use the GPU" if found else ""
-        yield Fact("torch device", "CPU", f"policies run on the CPU{wanted}")
+    wanted = "; install a torch with CUDA to use the GPU" if found else ""
+    cuda = (f"CUDA {torch.version.cuda}", "policies run on the GPU")
+    yield Fact("torch device", *(cuda if torch.cuda.is_available() else ("CPU", f"policies run on the CPU{wanted}")))
 
 
 def codecs() -> Iterator[Fact]:
@@ -167,12 +146,13 @@ def codecs() -> Iterator[Fact]:
     if importlib.util.find_spec("torchcodec") is None:
         yield Fact("torchcodec", "none", "LeRobot decodes with PyAV")
         return
+    found, follows = version("torchcodec"), "LeRobot decodes with torchcodec"
     try:
         importlib.import_module("torchcodec")
-        yield Fact("torchcodec", version("torchcodec"), "LeRobot decodes with torchcodec")
     except (ImportError, OSError, RuntimeError):
+        found += ", finds no FFmpeg libraries"
         follows = "LeRobot decodes with PyAV, slower; install FFmpeg's libraries for torchcodec"
-        yield Fact("torchcodec", f"{version('torchcodec')}, finds no FFmpeg libraries", follows)
+    yield Fact("torchcodec", found, follows)
 
 
 OURS = ("dynahoi_lerobot", "lerobot_env_dynahoi", "lerobot_policy_obact")
@@ -228,8 +208,8 @@ def pace() -> Iterator[Fact]:
     frames_s = frames_per_s()
     known_s = KNOWN_PROCESSOR_S if cores() == 1 else KNOWN_ELAPSED_S
     minutes = max(1.0, known_s * KNOWN_FRAMES_S / frames_s / 60)
-    found = f"{frames_s:.0f} frames/s per core at {PACED.image_size} px"
-    yield Fact("pace", found, f"the quickstart takes about {minutes:.0f} min")
+    told = f"{frames_s:.0f} frames/s per core at {PACED.image_size} px"
+    yield Fact("pace", told, f"the quickstart takes about {minutes:.0f} min")
 
 
 def frames_per_s() -> float:

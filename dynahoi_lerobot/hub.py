@@ -91,12 +91,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Push the folder and print its address; return the exit code.
-
-    Raises:
-        CommandError: if it is refused or the Hub cannot be reached.
-        ValueError: for a bad argument, or a folder that nobody should push.
-    """
+    """Push the folder and print its address; return the exit code."""
     kind = kind_of(args.folder)
     for option, wanted in OPTIONS.items():
         if getattr(args, option) and kind != wanted:
@@ -117,11 +112,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def kind_of(folder: Path) -> str:
-    """Return what a folder holds: a key of ``KIND_FILES``.
-
-    Raises:
-        ValueError: if it is none of them.
-    """
+    """Return what a folder holds: a key of ``KIND_FILES``; ValueError if it is none of them."""
     for kind, file in KIND_FILES.items():
         if (folder / file).exists():
             return kind

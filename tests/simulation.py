@@ -10,7 +10,7 @@ from dynahoi_lerobot.core.conventions import CONTROL_DT, PHYSICS_DT, SUBSTEPS
 from dynahoi_lerobot.motions import MOTIONS, Draw, Motion
 from dynahoi_lerobot.objects import OBJECTS, TargetObject
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
-from dynahoi_lerobot.sampling.oracle_path import PARKED_PALM_W
+from dynahoi_lerobot.sampling.target_path import PARKED_PALM_W
 from dynahoi_lerobot.sampling.timing import draw_timing
 from dynahoi_lerobot.scene.model import ENVIRONMENT
 from dynahoi_lerobot.scene.scene import compile_scene

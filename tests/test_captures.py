@@ -29,7 +29,7 @@ def passing(spec: EpisodeSpec, speed_m_s: float, miss_m: float, at_s: float) -> 
     """The episode with a target that passes ``miss_m`` in front of the waiting palm at ``at_s``, along y."""
     motion = Constant(tuple(HOME_W + [miss_m, 0.0, 0.0]), (0.0, 1.0, 0.0), at_s, speed_m_s, 0.0)
     path = motion.position(np.arange(spec.horizon_frames) * CONTROL_DT)
-    return replace(spec, motion=motion, home_pos_w=HOME_W, oracle_path=path)
+    return replace(spec, motion=motion, home_pos_w=HOME_W, target_path_w=path)
 
 
 def relative_pose(batch: WorldBatch) -> tuple[np.ndarray, np.ndarray]:
@@ -91,7 +91,7 @@ def test_a_welded_target_moves_with_the_hand_as_it_lies(specs: list[EpisodeSpec]
 def test_a_welded_target_leaves_its_string_and_its_table(specs: list[EpisodeSpec]):
     """A pendulum, a rolling and a struck target follow the hand upwards for half a metre."""
     chosen = [next(s for s in specs if s.motion.name == kind) for kind in ("planar", "ramp", "struck")]
-    near = [replace(spec, home_pos_w=spec.oracle_path[spec.window_frames + 2]) for spec in chosen]
+    near = [replace(spec, home_pos_w=spec.target_path_w[spec.window_frames + 2]) for spec in chosen]
     batch = world(near, control_class="unlimited")
     for _ in range(max(spec.window_frames for spec in chosen) + 5):
         batch.step(batch.executed)
@@ -194,7 +194,7 @@ def flying(
     motion = Constant(tuple(HOME_W), (-1.0, 0.0, 0.0), 0.5, speed_m_s, 0.0)
     path = motion.position(np.arange(spec.horizon_frames) * CONTROL_DT)
     target = replace(OBJECTS[kind].sample(np.random.default_rng(seed)), friction=friction)
-    return replace(spec, motion=motion, target=target, home_pos_w=HOME_W, oracle_path=path, window_frames=2)
+    return replace(spec, motion=motion, target=target, home_pos_w=HOME_W, target_path_w=path, window_frames=2)
 
 
 def energy_j(batch: WorldBatch, spec: EpisodeSpec) -> float:
@@ -233,7 +233,7 @@ def test_the_first_touch_lets_go_without_a_jump(constant: EpisodeSpec):
     batch = world([spec], capture="contact")
     while not batch.contacts.by_hand[0]:
         frame = batch.frame[0]
-        np.testing.assert_allclose(batch.target_pose[0, :3], spec.oracle_path[frame] - HOME_W, atol=1e-9)
+        np.testing.assert_allclose(batch.target_pose[0, :3], spec.target_path_w[frame] - HOME_W, atol=1e-9)
         before = batch.target_pose[0, :3].copy()
         batch.step(batch.executed)
     assert np.linalg.norm(batch.target_pose[0, :3] - before) < 0.5 * CONTROL_DT + 0.005

@@ -42,7 +42,7 @@ def test_the_expert_meets_the_target_on_its_path(expert_episodes: list[Episode],
     """It localises at the oracle's intercept or, faster than the hand that defines it, before; never later."""
     for episode, spec in zip(expert_episodes, specs, strict=True):
         assert episode.first_localized <= spec.intercept_frame + 1
-        caught, path = episode.palm_pos_h[episode.first_localized], spec.oracle_path - spec.home_pos_w
+        caught, path = episode.palm_pos_h[episode.first_localized], spec.target_path_w - spec.home_pos_w
         around = path[episode.first_localized - 1 : episode.first_localized + 1]
         along = np.linspace(around[0], around[1], 51)
         assert np.linalg.norm(along - caught, axis=1).min() < LOCALIZATION_RADIUS_M + 0.03

@@ -36,7 +36,7 @@ def relative_paths(specs: Sequence[EpisodeSpec], frames: int) -> np.ndarray:
     """Return (N, frames + 1, 3) the untouched targets relative to the hands' homes [m], from control start on."""
     paths = np.full((len(specs), frames + 1, 3), FAR_M)
     for path, spec in zip(paths, specs, strict=True):
-        control = spec.oracle_path[spec.window_frames : spec.window_frames + spec.length_frames + 1] - spec.home_pos_w
+        control = spec.target_path_w[spec.window_frames : spec.window_frames + spec.length_frames + 1] - spec.home_pos_w
         path[: len(control)] = control[: frames + 1]
     return paths
 

@@ -29,7 +29,11 @@ COMMANDS = {
     "doctor": ("dynahoi_lerobot.doctor", "check this machine and installation"),
     "list": ("dynahoi_lerobot.cli.listing", "list registered motions, objects, metrics, ..."),
 }
-"""Command: module with ``add_arguments`` and ``run``, and one line of help. Modules are imported on use."""
+"""Command: module, imported on use, and one line of help.
+
+Its ``add_arguments`` declares arguments; its ``run`` returns the exit code, or raises what ``exit_code`` puts into a
+sentence: ValueError, FileExistsError and FileNotFoundError for bad input, CommandError and OSError for a failure.
+"""
 
 FAILED, BAD_INPUT, STOPPED = 1, 2, 130
 EXTRAS = {"datatrove": "scale", "ray": "scale", "openai": "vlm", "pydantic": "vlm"}

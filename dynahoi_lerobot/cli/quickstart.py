@@ -85,12 +85,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the remaining stages; return the exit code.
-
-    Raises:
-        CommandError: if a stage fails; the message names it and its log.
-        ValueError: if packages for training are missing, or LeRobot cannot open a dataset below this path.
-    """
+    """Run the remaining stages; return the exit code."""
     if missing := [name for name in NEEDS if importlib.util.find_spec(name) is None]:
         raise ValueError(
             f"training needs {', '.join(missing)}: pip install '.[lerobot]' ./envs/lerobot_env_dynahoi "
@@ -100,12 +95,12 @@ def run(args: argparse.Namespace) -> int:
     size = TINY if args.tiny else Size(args.episodes, args.steps, args.evaluation_episodes)
     start = time.monotonic()
     with working_folder(out, {"quickstart": asdict(size)}):
-        _run_stages(out, size, start)
+        _run_stages(out, size)
     _conclude(out, start, show=args.open)
     return 0
 
 
-def _run_stages(out: Path, size: Size, start: float) -> None:
+def _run_stages(out: Path, size: Size) -> None:
     stages: list[tuple[str, Path, Callable[[Path, Size], None]]] = [
         ("generate a dataset", out / "dataset", _generate),
         ("train ObAct on it with lerobot-train", _checkpoint(out) / WEIGHTS, _train),

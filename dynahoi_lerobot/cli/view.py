@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.cli.sample_page import column, read_episode, write_sample
+from dynahoi_lerobot.cli.thoughts import ThinkingAgent, drawn
 from dynahoi_lerobot.core.arguments import add_field_arguments, given_fields, path, whole
 from dynahoi_lerobot.core.conventions import CONTROL_HZ, DEFAULT_IMAGE_SIZE_PX, SEED_LIMIT
 from dynahoi_lerobot.core.episode import Episode
@@ -76,6 +77,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--split", default="test", help="with --motion: train, val, test, twins or one of the ood_ splits"
     )
     parser.add_argument("--policy", default="expert", help="with --motion: a checkpoint or a baseline")
+    parser.add_argument(
+        "--thoughts",
+        action="store_true",
+        help="with --motion and a checkpoint of ObAct as --policy: draw what it sees, expects and attends to",
+    )
     add_trust_argument(parser)
     add_field_arguments(parser, Recipe, RECIPE_OPTIONS, **TRAINED_FOR)
     parser.add_argument("--view", default="ego", choices=VIEWS, help="camera and modality")
@@ -83,17 +89,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the clip; return the exit code.
-
-    Raises:
-        ValueError: for an unknown suffix, source, motion, view or episode, or an unreadable dataset or result folder.
-    """
+    """Write the clip; return the exit code."""
     if (suffix := args.out.suffix) not in WRITERS:
         raise ValueError(f"cannot write {suffix or 'a file without suffix'!r}; use {', '.join(WRITERS)}")
     if args.sample is not None:
         return _sample(args)
     sources = {"motion": _played, "dataset": _from_dataset, "results": _replayed}
     chosen = [make_clip for name, make_clip in sources.items() if getattr(args, name) is not None]
+    if args.thoughts and args.motion is None:
+        raise ValueError(
+            "--thoughts draws what a policy thinks while it plays: give --motion MOTION --policy CHECKPOINT"
+        )
     if len(chosen) != 1:
         raise ValueError("choose one of --motion MOTION, --dataset DIR --episode I, --results DIR --seed S")
     clip = chosen[0](args)
@@ -123,7 +129,10 @@ def _sample(args: argparse.Namespace) -> int:
 def _played(args: argparse.Namespace) -> Clip:
     """Play a new episode with the policy or expert."""
     given = given_fields(args, RECIPE_OPTIONS)
-    actor = make_actor(args.policy, given.get("capture", Recipe.capture), trust=args.trust)
+    if args.thoughts:
+        actor = ThinkingAgent(args.policy, trust=args.trust)
+    else:
+        actor = make_actor(args.policy, given.get("capture", Recipe.capture), trust=args.trust)
     views = {*actor.views, args.view} - {"ego"}
     if not BENCHMARK.splits_with("motion", args.motion):  # not part of the benchmark, so no split lists it
         given["motions"] = (args.motion,)
@@ -135,8 +144,12 @@ def _played(args: argparse.Namespace) -> Clip:
             f"{len(known) - 1}, got {args.seed}"
         )
     spec = sample_specs(recipe, [known[args.seed]])[0]
-    episode = next(evaluate(WorldBatch(recipe, 1), actor, [spec], images=True))
-    return _clip(episode, args.view, episode.meta.agent)
+    batch = WorldBatch(recipe, 1)
+    episode = next(evaluate(batch, actor, [spec], images=True))
+    clip = _clip(episode, args.view, episode.meta.agent)
+    if isinstance(actor, ThinkingAgent):
+        clip = replace(clip, frames=drawn(episode, actor.thoughts, batch, args.view))
+    return clip
 
 
 def _replayed(args: argparse.Namespace) -> Clip:

@@ -55,10 +55,14 @@ JOINT_NAMES = tuple(f"{finger}_{joint}" for finger in FINGERS for joint in ("bas
 HAND_NAMES = (*PALM_AXES, *JOINT_NAMES)
 """Degrees of freedom by name, in the order of actions, states and actuators."""
 
+FURNITURE_STREAM, SCREEN_STREAM, APPEARANCE_STREAM = 0xF0A1, 0x5C4EE7, 0xA99EA
+DISTURBANCE_STREAM, RENDER_NOISE_STREAM = 0xD157, 0x0153
+"""What begins the seeds of random numbers that an episode itself is not sampled from: it keeps them all apart."""
+
 SEED_LIMIT = 2**40
 """Episodes are numbered, within a split and a kind of motion, by whole numbers below this."""
 
-HAND_SPEED_M_S = 0.3
+INTERCEPT_SPEED_M_S = 0.3
 """The hand speed for which the intercept is the earliest reachable one [m/s]."""
 
 WINDOW_FRACTION = 0.2

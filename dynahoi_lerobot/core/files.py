@@ -11,11 +11,7 @@ from pathlib import Path
 
 
 def check_output(path: Path) -> None:
-    """Refuse a file or folder that cannot be made.
-
-    Raises:
-        ValueError: if the path lies below a file.
-    """
+    """Refuse a file or folder that cannot be made; ValueError if the path lies below a file."""
     place = next(place for place in (path, *path.parents) if place.exists())
     if place != path and not place.is_dir():
         raise ValueError(f"{path} cannot be made: {place} is a file")

@@ -80,11 +80,7 @@ class Registry[T]:
         return sorted({*self._entries, *self._modules})
 
     def __getitem__(self, name: str) -> T:
-        """Return the entry called ``name``.
-
-        Raises:
-            UnknownNameError: if nothing is registered under it.
-        """
+        """Return the entry called ``name``; UnknownNameError if nothing is registered under it."""
         if name not in self._entries:
             self.check(name)
             if name in self._modules:

@@ -37,7 +37,7 @@ class EpisodeSpec:
         intercept_pos_w: (3,) position of the target at that frame [m].
         yaw_rad: initial turn about the vertical of a target on a prescribed path.
         spin_rad_s: constant angular velocity of such a target about its own z axis.
-        oracle_path: (F, 3) position of the untouched target at every frame [m], F = window + L + 1.
+        target_path_w: (F, 3) position of the untouched target at every frame [m], F = window + L + 1.
         fingerprint: identifies recipe and code.
     """
 
@@ -58,7 +58,7 @@ class EpisodeSpec:
     intercept_pos_w: np.ndarray
     yaw_rad: float
     spin_rad_s: float
-    oracle_path: np.ndarray = field(repr=False)
+    target_path_w: np.ndarray = field(repr=False)
     fingerprint: str
 
     @property
@@ -69,4 +69,4 @@ class EpisodeSpec:
     @property
     def horizon_frames(self) -> int:
         """F, the number of frames for which the target's motion is known."""
-        return len(self.oracle_path)
+        return len(self.target_path_w)

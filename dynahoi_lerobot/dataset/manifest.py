@@ -56,11 +56,7 @@ class Manifest:
 
     @classmethod
     def read(cls, root: Path) -> Self:
-        """Read it from below ``root``.
-
-        Raises:
-            ReadError: if there is none, or it is not JSON of the format.
-        """
+        """Read it from below ``root``; ReadError if there is none, or it is not JSON of the format."""
         types = get_type_hints(cls)
         content = read_object(root / MANIFEST_PATH, types)
         if content.pop("format", None) != FORMAT or content.keys() != types.keys():

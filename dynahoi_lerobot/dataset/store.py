@@ -137,22 +137,14 @@ class Store:
     """Lazy access to a dataset's tables and frames."""
 
     def __init__(self, root: Path) -> None:
-        """Look at the dataset below ``root``.
-
-        Raises:
-            FileNotFoundError: if there is none.
-        """
+        """Look at the dataset below ``root``; FileNotFoundError if there is none."""
         self.root = root
         if not (root / INFO_PATH).exists():
             raise FileNotFoundError(f"{root} is no LeRobot dataset: {INFO_PATH} is missing")
 
     @cached_property
     def info(self) -> dict[str, Any]:
-        """The content of ``info.json``.
-
-        Raises:
-            ValueError: if it is damaged.
-        """
+        """The content of ``info.json``; ValueError if it is damaged."""
         info = read_object(path := self.root / INFO_PATH, {"features": dict[str, dict[str, Any]]})
         for key, entry in info["features"].items():
             if "/" in key or not fits([entry.get("dtype"), entry.get("shape")], list[str | list[int]]):
@@ -278,11 +270,7 @@ class Store:
         return self.root / VIDEO_PATH.format(video_key=key, **place)
 
     def frames(self, row: EpisodeRow) -> pa.Table:
-        """Return the episode's rows of the frame table.
-
-        Raises:
-            ValueError: if their file is missing or damaged.
-        """
+        """Return the episode's rows of the frame table; ValueError if their file is missing or damaged."""
         return self.table(self.data_path(row), episode=row["episode_index"])
 
     def images(self, row: EpisodeRow, table: pa.Table, key: str) -> np.ndarray:
@@ -295,11 +283,7 @@ class Store:
             return np.stack(list(decode(path, start, start + row["length"])))
 
     def row(self, index: int) -> EpisodeRow:
-        """Return an episode's row with all its columns.
-
-        Raises:
-            IndexError: if there is no such episode.
-        """
+        """Return an episode's row with all its columns; IndexError if there is no such episode."""
         if not 0 <= index < self.episodes:
             raise IndexError(f"episode {index} does not exist; {self.root} holds {self.episodes}")
         for path in self.row_files():

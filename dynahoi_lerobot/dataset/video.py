@@ -56,11 +56,7 @@ class Encoding:
     gop: int = 2
 
     def __post_init__(self) -> None:
-        """Refuse what no encoder could do.
-
-        Raises:
-            ValueError: naming the value and those allowed.
-        """
+        """Refuse what no encoder could do; ValueError naming the value and those allowed."""
         known("codec", self.codec, CODECS)
         if not 1 <= self.gop <= MAX_GOP:
             raise ValueError(f"gop is {self.gop}; it must be 1 to {MAX_GOP} frames")
@@ -75,11 +71,7 @@ class Encoding:
         return self.codec != "images"
 
     def check_size(self, image_size: int) -> None:
-        """Refuse images of an odd size [px], whose colours a video cannot halve.
-
-        Raises:
-            ValueError: naming the size.
-        """
+        """Refuse images of an odd size [px], whose colours a video cannot halve; ValueError naming the size."""
         if self.is_video and image_size % 2:
             raise ValueError(f"the image size is {image_size} pixels; it must be an even number for a video")
 

@@ -1,4 +1,4 @@
-"""The Gymnasium environments ``DynahoiVectorEnv`` (native, N worlds) and ``DynahoiEnv`` (one), and that of vla-eval."""
+"""The Gymnasium environments ``DynahoiVectorEnv`` (native, N worlds) and ``DynahoiEnv`` (one)."""
 
 import gymnasium as gym
 

@@ -385,9 +385,7 @@ class DynahoiEnv(gym.Env):
             seed: number of the episode within the split (and kind), 0 to 2^40 - 1; None draws one.
             options: none are known.
 
-        Raises:
-            ValueError: for a seed that is not such an integer.
-            ClosedEnvironmentError: after ``close``.
+        Raises what ``DynahoiVectorEnv.reset`` raises.
         """
         number = None if seed is None else check_seed(seed)
         super().reset(seed=number)
@@ -402,10 +400,7 @@ class DynahoiEnv(gym.Env):
         Args:
             action: (18,) target for the next frame, palm centre [m], home frame, and joint angles [rad].
 
-        Raises:
-            ValueError: for a wrong shape or element type, or a value that is not finite; nothing moves then.
-            ResetNeeded: before the first ``reset``.
-            ClosedEnvironmentError: after ``close``.
+        Raises what ``DynahoiVectorEnv.step`` raises.
         """
         observation, reward, terminated, truncated, infos = self._vector.step(np.asarray(action)[None])
         return _of_world(observation, 0), float(reward[0]), bool(terminated[0]), bool(truncated[0]), _scalars(infos)

@@ -121,13 +121,7 @@ def _latency(text: str) -> float | None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Evaluate, write the results and print them; return the exit code.
-
-    Raises:
-        PolicyError: if the policy cannot be loaded or, without ``--trust``, could run code.
-        ReadError: if ``--out`` holds damaged results, or those of another evaluation.
-        ValueError: for any other bad argument.
-    """
+    """Evaluate, write the results and print them; return the exit code."""
     if args.replay_seed is not None and not args.replay:
         raise ValueError(f"--replay-seed {args.replay_seed} is for --replay RESULTS")
     if args.replay:

@@ -41,12 +41,7 @@ COMPUTED = ("n", "n_success", "pc_success_ci95", "metrics", "per_kind")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print what was replayed, and what differs; return the exit code: 0 if every number is the same, else 1.
-
-    Raises:
-        ReadError: if the folder cannot be read.
-        ValueError: if the results are of another salt.
-    """
+    """Print what was replayed, and what differs; return the exit code: 0 if every number is the same, else 1."""
     results = read_results(args.replay)
     recipe = open_recipe(results, args.salt or "")
     for name in (METRICS_FILE, EPISODES_FILE, ACTIONS_FILE):

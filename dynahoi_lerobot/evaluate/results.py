@@ -169,11 +169,7 @@ class Results:
         return self._by[stratum]
 
     def recipe(self) -> Recipe:
-        """Return what was played.
-
-        Raises:
-            ReadError: if the folder does not say it, or what it says is damaged.
-        """
+        """Return what was played; ReadError if the folder does not say it, or what it says is damaged."""
         if "recipe" not in self.info.extra:
             raise ReadError(f"{self.folder} does not say what was played; evaluate again with this version")
         with reading(self.folder / METRICS_FILE):

@@ -112,8 +112,8 @@ def _along(path: np.ndarray, world: WorldView) -> np.ndarray:
 
 def _acceleration(world: WorldView) -> np.ndarray:
     """Return (3,) the mean acceleration [m/s^2] over the last two frames of the untouched target."""
-    frame = min(max(world.frame, 2), len(world.spec.oracle_path) - 1)
-    before, last, now = world.spec.oracle_path[frame - 2 : frame + 1]
+    frame = min(max(world.frame, 2), len(world.spec.target_path_w) - 1)
+    before, last, now = world.spec.target_path_w[frame - 2 : frame + 1]
     return (now - 2 * last + before) / CONTROL_DT**2
 
 

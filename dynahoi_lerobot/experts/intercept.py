@@ -127,7 +127,7 @@ def _closed_around(spec: EpisodeSpec) -> np.ndarray:
 
 def _path_from(spec: EpisodeSpec, frame: int) -> np.ndarray:
     """(K, 3) where the untouched target is [m], world, from ``frame`` on; K > 1."""
-    return spec.oracle_path[min(frame, spec.horizon_frames - 2) :]
+    return spec.target_path_w[min(frame, spec.horizon_frames - 2) :]
 
 
 def _speed(control: ControlClass) -> float:

@@ -61,7 +61,7 @@ class Match(Teacher):
 
     def first_meeting(self, spec: EpisodeSpec, control: ControlClass) -> Meeting:
         """Return where the fingers begin to close, for a hand that starts at home."""
-        path, frame, palm = spec.oracle_path - SEAT_M, spec.window_frames, spec.home_pos_w
+        path, frame, palm = spec.target_path_w - SEAT_M, spec.window_frames, spec.home_pos_w
         closes = np.array(False)
         while not closes and frame + 1 < len(path):
             offset, closes = approach(palm - path[frame])
@@ -100,7 +100,7 @@ def braked(velocity: np.ndarray) -> np.ndarray:
 
 def _target(world: WorldView) -> tuple[np.ndarray, np.ndarray]:
     """Return (3,) where the target is when the command takes effect, and a frame later [m], world."""
-    path = world.spec.oracle_path
+    path = world.spec.target_path_w
     if norm(world.target_pos_w - path[min(world.frame, len(path) - 1)]) > ON_PATH_M:
         return world.target_pos_w, world.target_pos_w + world.target_velocity_w * CONTROL_DT
     due = min(world.due_frame, len(path) - 2)

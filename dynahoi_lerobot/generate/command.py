@@ -78,11 +78,6 @@ def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Recip
 
     Returns:
         The exit code, 0.
-
-    Raises:
-        CommandError: if the episodes cannot be made, or processes or tasks failed.
-        OSError: if the disk is full; run it again to resume.
-        ValueError: for a bad argument.
     """
     check_output(args.root)
     check_root(args.root)
@@ -118,12 +113,7 @@ def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Recip
 
 
 def _on_policy(args: argparse.Namespace, recipe: Recipe) -> tuple[Recipe, Record, str]:
-    """Return the recipe for the policy of ``--actor``, its recorder, and its ``runtime``.
-
-    Raises:
-        PolicyError: if the policy cannot be loaded or, without ``--trust``, could run code.
-        ValueError: if the recipe names another one.
-    """
+    """Return the recipe for the policy of ``--actor``, its recorder, and its ``runtime``."""
     policy, name = open_policy(args.actor, trust=args.trust), actor_name(args.actor)
     if recipe.actor not in ("", name):
         raise ValueError(f"the recipe names the actor {recipe.actor}; --actor {args.actor} is {name}")

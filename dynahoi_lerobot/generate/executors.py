@@ -84,16 +84,11 @@ def run(kind: str, plan: GenerationPlan, root: Path, record: Record, resources: 
 
     Args:
         kind: ``local``, ``slurm`` or ``ray``.
-        plan, root: what to make, and where.
-        record: plays the expert; a module's function.
+        plan, root, record: as ``pipeline.generate`` takes them, which also says what is raised.
         resources: what the tasks get.
 
     Returns:
         True if the dataset is complete now, False if a queue will complete it.
-
-    Raises:
-        FileExistsError: if ``root`` or the unfinished work beside it belongs to something else.
-        CommandError: if tasks failed.
     """
     root = root.absolute()
     if finished(plan, root) is not None:

@@ -78,11 +78,7 @@ class GenerationPlan:
     subtasks: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse plans that cannot be carried out.
-
-        Raises:
-            ValueError: if a number is out of its range.
-        """
+        """Refuse plans that cannot be carried out; ValueError if a number is out of its range."""
         if not 1 <= self.episodes <= REDRAW_STRIDE:
             raise ValueError(f"the number of episodes is {self.episodes}; it must be 1 to {REDRAW_STRIDE}")
         if not 1 <= self.shard_episodes <= MAX_SHARD:

@@ -4,14 +4,7 @@ import numpy as np
 
 from dynahoi_lerobot.core import conventions
 from dynahoi_lerobot.core.episode import Episode, in_reference_grasp, joints_reached
-from dynahoi_lerobot.metrics.base import metric
-
-
-def share_of_frames(episode: Episode, min_fingers: int) -> float:
-    """Return the share of control frames, 0 to 1, in which at least ``min_fingers`` match the reference grasp."""
-    reached = joints_reached(episode.joints[episode.control], episode.open_joints, episode.reference_joints)
-    by_finger = reached.reshape(-1, len(conventions.FINGERS), conventions.JOINTS_PER_FINGER)  # (T, 15) -> (T, 5, 3)
-    return float(np.mean(by_finger.all(axis=2).sum(axis=1) >= min_fingers))
+from dynahoi_lerobot.metrics.base import Compute, metric
 
 
 def grasps_within(episode: Episode, frames: int) -> bool | None:
@@ -121,34 +114,27 @@ def e_gra(episode: Episode) -> float:
     return float(episode.fingertip_distance[episode.control].min()) / conventions.UNIT_M
 
 
-@metric("grasp_loose", unit="fraction", direction="higher", aggregation="mean")
-def grasp_loose(episode: Episode) -> float:
-    """Per-frame grasp, loose: the share of control frames in which at least three fingers match the reference.
+FINGERS_AT_LEAST = {"loose": 3, "medium": 4, "strict": 5}
+"""Fingers that must match the reference in a frame, by setting of the paper's figure."""
 
-    ``grasp_loose = mean_t [number of fingers whose three joints all pass the test of S_gra at t >= 3]``.
 
-    Fraction of frames, higher is better. Paper: Figure "Grasp success rate under per-frame evaluation", setting Loose.
+def per_frame_grasp(setting: str, least: int) -> Compute:
+    """Return the share of control frames in which so many fingers match the reference grasp, for ``metric``."""
+
+    def share(episode: Episode) -> float:
+        reached = joints_reached(episode.joints[episode.control], episode.open_joints, episode.reference_joints)
+        by_finger = reached.reshape(-1, len(conventions.FINGERS), conventions.JOINTS_PER_FINGER)  # (T, 5, 3)
+        return float(np.mean(by_finger.all(axis=2).sum(axis=1) >= least))
+
+    share.__doc__ = f"""Per-frame grasp, {setting}: the share of control frames in which at least {least} fingers match.
+
+    ``grasp_{setting} = mean_t [number of fingers whose three joints all pass the test of S_gra at t >= {least}]``.
+
+    Fraction of frames, higher is better. Paper: Figure "Grasp success rate under per-frame evaluation".
     """
-    return share_of_frames(episode, min_fingers=3)
+    return share
 
 
-@metric("grasp_medium", unit="fraction", direction="higher", aggregation="mean")
-def grasp_medium(episode: Episode) -> float:
-    """Per-frame grasp, medium: the share of control frames in which at least four fingers match the reference.
-
-    ``grasp_medium = mean_t [number of fingers whose three joints all pass the test of S_gra at t >= 4]``.
-
-    Fraction of frames, higher is better. Paper: Figure "Grasp success rate under per-frame evaluation", setting Medium.
-    """
-    return share_of_frames(episode, min_fingers=4)
-
-
-@metric("grasp_strict", unit="fraction", direction="higher", aggregation="mean")
-def grasp_strict(episode: Episode) -> float:
-    """Per-frame grasp, strict: the share of control frames in which all five fingers match the reference.
-
-    ``grasp_strict = mean_t [number of fingers whose three joints all pass the test of S_gra at t >= 5]``.
-
-    Fraction of frames, higher is better. Paper: Figure "Grasp success rate under per-frame evaluation", setting Strict.
-    """
-    return share_of_frames(episode, min_fingers=5)
+for _setting, _least in FINGERS_AT_LEAST.items():
+    _share = metric(f"grasp_{_setting}", unit="fraction", direction="higher", aggregation="mean")
+    _share(per_frame_grasp(_setting, _least))

@@ -66,7 +66,7 @@ class RollingMotion(PhysicalMotion):
         start = np.asarray(self.meeting) - self.run_m * forward
         return Launch(
             as_vector(start),
-            quat=self._lying(target),
+            quat=self._lying(),
             release_s=self.release_s,
             boxes=self.surfaces(target, forward, normal),
             friction=1.0,
@@ -90,7 +90,7 @@ class RollingMotion(PhysicalMotion):
         c, s = cos(self.slope_rad), sin(self.slope_rad)
         return c * flat - s * up, s * flat + c * up
 
-    def _lying(self, target: TargetObject) -> Quaternion:
+    def _lying(self) -> Quaternion:
         """Lay the object's axis of symmetry horizontally across the slope."""
         half, root = self.yaw_rad / 2, float(np.sqrt(0.5))
         c, s = float(cos(half)), float(sin(half))

@@ -5,27 +5,23 @@ from __future__ import annotations
 import argparse
 import asyncio
 import secrets
-import sys
 from contextlib import ExitStack, suppress
 from dataclasses import replace
-from pathlib import Path
 
 from dynahoi_lerobot.core.arguments import add_field_arguments, given_fields, path, whole
 from dynahoi_lerobot.core.conventions import SEED_LIMIT
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.files import new_folder
-from dynahoi_lerobot.core.working_folder import working_folder
 from dynahoi_lerobot.dataset.columns import dataset_features
 from dynahoi_lerobot.dataset.writer import DatasetWriter
 from dynahoi_lerobot.evaluate.arguments import EXPERT_ALIAS, add_trust_argument, make_actor, playing_rules
-from dynahoi_lerobot.evaluate.results import Results, RunInfo, command_line
 from dynahoi_lerobot.evaluate.table import results_table
 from dynahoi_lerobot.play.game import Game
 from dynahoi_lerobot.play.live_world import LiveWorld
+from dynahoi_lerobot.play.scores import scores_of
 from dynahoi_lerobot.play.server import LOOPBACK, PlayServer
-from dynahoi_lerobot.sampling.fingerprint import surroundings
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.splits import kind_seed, kind_seeds, stream_label
+from dynahoi_lerobot.sampling.splits import kind_seed, kind_seeds
 
 RECIPE_OPTIONS = ("control_class", "capture", "hand", "protocol", "image_size", "path_speed")
 """Fields of the recipe that are options of the command."""
@@ -64,27 +60,20 @@ def run(args: argparse.Namespace) -> int:
     seeds = {number: kind_seed(recipe, args.motion, number) for number in range(args.first, args.first + args.episodes)}
     if len(set(seeds.values())) < len(seeds):
         raise ValueError(f"--episodes must be at most {len(kind_seeds(recipe, args.motion))}, all there are")
-    extra = {"recipe": recipe.stored(), "inference": "", "surroundings": surroundings()}
-    label, command = stream_label(args.split, recipe.salt), command_line(sys.argv)
-    info = RunInfo(f"human:{args.name}", label, recipe.capture, command, recipe.fingerprint(), extra)
     with ExitStack() as stack:
-        if args.out:
-            stack.enter_context(working_folder(args.out, info.task()))
-        results = Results.resumed(args.out, info) if args.out else Results(Path(), info)
+        scores = stack.enter_context(scores_of(f"human:{args.name}", recipe, args.out))
         writer: DatasetWriter | None = None
 
         def keep(episode: Episode) -> None:
-            nonlocal results, writer
+            nonlocal writer
             if args.record and writer is None:
                 folder = stack.enter_context(new_folder(args.record))
                 writer = stack.enter_context(DatasetWriter(folder, dataset_features(episode)))
             if writer is not None:
                 writer.add(episode)
-            results = results.plus([replace(episode, images={})])
-            if args.out:
-                results.write()
+            scores.add(episode)
 
-        left = [number for number, seed in seeds.items() if seed not in results.seeds]
+        left = [number for number, seed in seeds.items() if seed not in scores.results.seeds]
         practice = replace(recipe, split="train", path_speed=1.0)
         practised = args.motion if args.motion in practice.motion_names else None
         game = Game(
@@ -92,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
             LiveWorld(practice, practised, record_images=True),
             numbers=left,
             total=args.episodes,
-            player=info.policy,
+            player=scores.results.info.policy,
             others=actors,
             keep=keep,
         )
@@ -101,8 +90,8 @@ def run(args: argparse.Namespace) -> int:
             asyncio.run(PlayServer(game, args.host, args.port, token).run(_announce))
         if writer is not None:
             writer.finish({"recipe": recipe.stored()})
-    if results.rows:
-        print(results_table([results]))
+    if scores.results.rows:
+        print(results_table([scores.results]))
     return 0
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import CONTROL_HZ, EGO_VIEW
+from dynahoi_lerobot.core.conventions import EGO_VIEW
 from dynahoi_lerobot.evaluate.gif import encode_gif, phases_of
 from dynahoi_lerobot.metrics import METRICS, measure
 from dynahoi_lerobot.rollout.loop import evaluate
@@ -55,10 +55,9 @@ class Game:
 
     async def __call__(self, player: Player) -> None:
         """Play with ``player`` until they leave."""
-        while not player.gone:
+        while True:
             await player.tell(ready={"left": len(self.numbers), "total": self.total, "practised": self.practised})
-            asked = await self._asked(player)
-            if asked is None:
+            if (asked := await player.asked.get()) is None:
                 return
             practising = asked != SCORED or not self.numbers
             world = self.practice if practising else self.world
@@ -71,31 +70,13 @@ class Game:
             if not player.gone:
                 await player.tell(result=await asyncio.to_thread(self._result, world, episode, practising))
 
-    async def _asked(self, player: Player) -> str | None:
-        """Wait for a request; None if the player leaves."""
-        while not player.gone:
-            try:
-                return (await asyncio.wait_for(player.asked.get(), 0.2))["play"]
-            except TimeoutError:
-                continue
-        return None
-
     async def _play(self, player: Player, world: LiveWorld, practising: bool) -> Episode:
         """Play one episode; the world goes on if the page is closed in the middle of it."""
         number = PRACTICE_STEP * (self.practised + 1) if practising else self.numbers[0]
         world.begin(number, self.player)
-        world.start()
-        spec = world.spec
         while (episode := world.finished) is None:
-            frame = int(world.batch.frame[0])
-            await player.show(
-                world.observe().images[EGO_VIEW][0],
-                task=spec.task,
-                window_s=max(0.0, (spec.window_frames - frame) / CONTROL_HZ),
-                left_s=(spec.window_frames + spec.length_frames + 1 - frame) / CONTROL_HZ,
-                caught=bool(world.batch.localized[0]),
-            )
-            await asyncio.sleep(max(0.0, world.next_tick_s - world.now_s))
+            await player.show(world.observe().images[EGO_VIEW][0], **world.facts)
+            await asyncio.sleep(world.rest_s)
             world.command(player.steering.command(world))
         return episode
 

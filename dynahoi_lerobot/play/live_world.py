@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,15 +27,18 @@ class LiveWorld:
     """One hand and one moving object on a clock.
 
     The world is brought up to date whenever somebody looks at it or commands it, so that it needs no thread, and what
-    happens in it depends on the times of the commands alone. Frame k becomes frame k + 1 at k + 1/2 frames after
-    ``start``: commands that arrive once a frame then fall into the frame they are meant for, even if they are up to
+    happens in it depends on the times of the commands alone. Frame k becomes frame k + 1 at k + 1/2 frames after the
+    first command: commands that arrive once a frame then fall into the frame they are meant for, even if they are up to
     25 ms early or late. In a frame without a new command the hand follows the last one.
 
     Attributes:
         recipe, kind: what is played.
+        spec: the episode.
         missed: frames of the control phase of this episode in which no new command came.
         finished: the recording of this episode, once it is over; else None.
     """
+
+    spec: EpisodeSpec
 
     def __init__(
         self,
@@ -63,7 +66,6 @@ class LiveWorld:
         self._started_s: float | None = None
         self._command = np.zeros(HAND_DOF)
         self._fresh = False
-        self._spec: EpisodeSpec | None = None
 
     def begin(self, number: int, player: str) -> None:
         """Lay out episode ``number`` of the split and the kind: its frame 0 can be seen, its clock stands still.
@@ -71,22 +73,11 @@ class LiveWorld:
         Raises:
             ValueError: for a negative number or one beyond 2^40 - 1.
         """
-        [self._spec] = sample_specs(self.recipe, [kind_seed(self.recipe, self.kind, number)])
-        self._session.begin([0], [Job.evaluation(number, self._spec)])
+        [self.spec] = sample_specs(self.recipe, [kind_seed(self.recipe, self.kind, number)])
+        self._session.begin([0], [Job.evaluation(number, self.spec)])
         self._session.observe(images=self._session.record_images)
         self._command, self._fresh = self._session.batch.executed[0].copy(), False
         self._started_s, self.missed, self.finished, self._player = None, 0, None, player
-
-    @property
-    def spec(self) -> EpisodeSpec:
-        """The episode.
-
-        Raises:
-            RuntimeError: before the first ``begin``.
-        """
-        if self._spec is None:
-            raise RuntimeError("no episode has begun")
-        return self._spec
 
     @property
     def batch(self) -> WorldBatch:
@@ -94,21 +85,22 @@ class LiveWorld:
         return self._session.batch
 
     @property
-    def now_s(self) -> float:
-        """The time [s]."""
-        return self._clock()
+    def facts(self) -> dict[str, Any]:
+        """What a player is told of the present: the task, seconds left of window and episode, whether it is caught."""
+        spec, frame = self.spec, int(self.batch.frame[0])
+        return {
+            "task": spec.task,
+            "window_s": max(0, spec.window_frames - frame) / CONTROL_HZ,
+            "left_s": (spec.window_frames + spec.length_frames + 1 - frame) / CONTROL_HZ,
+            "caught": bool(self.batch.localized[0]),
+        }
 
     @property
-    def next_tick_s(self) -> float:
-        """When the clock will move the world next [s]; now, if it does not run."""
+    def rest_s(self) -> float:
+        """Seconds until the clock moves the world next, 0 before the first command."""
         if self._started_s is None:
-            return self._clock()
-        return self._started_s + (self.batch.frame[0] + 0.5) / CONTROL_HZ
-
-    def start(self) -> None:
-        """Start the clock of this episode, once."""
-        if self._started_s is None:
-            self._started_s = self._clock()
+            return 0.0
+        return max(0.0, self._started_s + (self.batch.frame[0] + 0.5) / CONTROL_HZ - self._clock())
 
     def observe(self, *, images: bool = True) -> Observation:
         """Return what is seen now, of one world: images (1, H, W, 3), state (1, 18) and so on."""
@@ -120,11 +112,14 @@ class LiveWorld:
     def command(self, command: np.ndarray) -> None:
         """Give the hand its next command, (18,): palm centre [m], home frame, and joint angles [rad].
 
+        The first one starts the clock.
+
         Raises:
             ValueError: for a wrong shape or a value that is not finite.
         """
         given = self._session.batch.as_commands(np.asarray(command, np.float64)[None], self._seen)[0]
-        self.start()
+        if self._started_s is None:
+            self._started_s = self._clock()
         self.catch_up()
         self._command, self._fresh = given, True
         if not self._realtime and self.finished is None:
@@ -137,13 +132,11 @@ class LiveWorld:
 
     @property
     def _seen(self) -> Observation:
-        observation = self._session.observation
-        if observation is None:
-            raise RuntimeError("no episode has begun")
-        return observation
+        assert self._session.observation is not None, "begin comes first"
+        return self._session.observation
 
     def catch_up(self) -> None:
-        """Move the world to the present; the methods below do so themselves."""
+        """Move the world to the present, as whoever looks at it or commands it does."""
         if not self._realtime or self._started_s is None:
             return
         due = int((self._clock() - self._started_s) * CONTROL_HZ + 0.5)

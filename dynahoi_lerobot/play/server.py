@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import cv2
-from aiohttp import WSMsgType, web
+from aiohttp import WSCloseCode, WSMsgType, web
 
 from dynahoi_lerobot.play.steering import Steering
 
@@ -33,13 +33,13 @@ class Player:
     Attributes:
         steering: the latest input.
         sent_ms: the time that the page gave with it, by its own clock [ms]; it is sent back with the next image.
-        asked: what the page asks for, such as ``{"play": "scored"}``, oldest first.
+        asked: what the page asks to play, oldest first; None once the page is closed.
     """
 
     socket: web.WebSocketResponse
     steering: Steering = field(default_factory=Steering)
     sent_ms: float | None = None
-    asked: asyncio.Queue[dict[str, Any]] = field(default_factory=lambda: asyncio.Queue(16))
+    asked: asyncio.Queue[str | None] = field(default_factory=lambda: asyncio.Queue(16))
 
     @property
     def gone(self) -> bool:
@@ -59,15 +59,21 @@ class Player:
         if not self.gone:
             await self.socket.send_str(json.dumps(values, allow_nan=False))
 
+    def leave(self) -> None:
+        """Ask for nothing any more."""
+        while not self.asked.empty():
+            self.asked.get_nowait()
+        self.asked.put_nowait(None)
+
     def heed(self, message: Any) -> None:
         """Take a decoded message.
 
         Raises:
             ValueError: if it is neither an input nor a request.
         """
-        if isinstance(message, dict) and isinstance(message.get("play"), str):
+        if isinstance(message, dict) and isinstance(play := message.get("play"), str):
             if not self.asked.full():
-                self.asked.put_nowait(message)
+                self.asked.put_nowait(play)
             return
         self.steering = Steering.read(message)
         sent = message.get("sent")
@@ -75,7 +81,7 @@ class Player:
 
 
 class PlayServer:
-    """Serves the page, and hands each player to ``game`` until they leave.
+    """Serves the page to one player at a time, whom ``game`` plays with.
 
     Attributes:
         address: of the page, with the token if there is one; empty until the server runs.
@@ -85,7 +91,7 @@ class PlayServer:
         """Take what plays with a player, and where to listen.
 
         Args:
-            game: returns when the player has left; the server cancels it when they close the page.
+            game: returns when the player has left.
             host, port: where to listen; port 0 takes a free one.
             token: what the address must hold; empty for none, on loopback alone.
 
@@ -96,12 +102,13 @@ class PlayServer:
             raise ValueError(f"host {host} can be reached by others, so it needs a token")
         self.address = ""
         self._game, self._host, self._port, self._token = game, host, port, token
-        self._playing = False
+        self._playing: web.WebSocketResponse | None = None
 
     async def run(self, started: Callable[[str], None]) -> None:
         """Serve until cancelled; ``started`` is called with the address of the page."""
         app = web.Application()
         app.add_routes([web.get("/", self._page), web.get("/play", self._socket)])
+        app.on_shutdown.append(self._leave)
         runner = web.AppRunner(app, access_log=None, handle_signals=False)
         await runner.setup()
         try:
@@ -114,6 +121,10 @@ class PlayServer:
             await asyncio.Event().wait()
         finally:
             await runner.cleanup()
+
+    async def _leave(self, app: web.Application) -> None:
+        if self._playing is not None:
+            await self._playing.close(code=WSCloseCode.GOING_AWAY, message=b"The game is over.")
 
     def _check(self, request: web.Request) -> None:
         """Refuse whoever lacks the token, and pages of other origins."""
@@ -139,11 +150,10 @@ class PlayServer:
         self._check(request)
         socket = web.WebSocketResponse(max_msg_size=MAX_MESSAGE_BYTES, heartbeat=20.0)
         await socket.prepare(request)
-        if self._playing:
+        if self._playing is not None:
             await socket.close(code=BUSY, message=b"somebody is playing already; close the other tab")
             return socket
-        self._playing = True
-        player = Player(socket)
+        self._playing, player = socket, Player(socket)
         game = asyncio.ensure_future(self._game(player))
         try:
             async for message in socket:
@@ -151,10 +161,11 @@ class PlayServer:
                     break
         finally:
             await socket.close()
+            player.leave()
             try:
                 await game  # it ends by itself once the page is gone, and saves what was played
             finally:
-                self._playing = False
+                self._playing = None
         return socket
 
 

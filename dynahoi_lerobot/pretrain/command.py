@@ -11,8 +11,6 @@ from dynahoi_lerobot.core.arguments import path
 from dynahoi_lerobot.pretrain.recipe import read_recipe
 from dynahoi_lerobot.pretrain.snapshots import ImageStream
 
-FAILED = 1
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``dynahoi pretrain``."""
@@ -46,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
         from dynahoi_lerobot.pretrain.eye_training import Training
     except ImportError as error:
         print(f"dynahoi pretrain: needs ObAct ({error}): install lerobot_policy_obact", file=sys.stderr)
-        return FAILED
+        return 1
     changes = dict(args.set) | ({} if args.out is None else {"out": str(args.out)})
     recipe = read_recipe(args.recipe, **changes)
     training = Training(recipe, ImageStream(recipe))
@@ -57,5 +55,5 @@ def run(args: argparse.Namespace) -> int:
             print(json.dumps(line), flush=True)
     except FloatingPointError as error:
         print(f"dynahoi pretrain: {error}; the last save is in {recipe.out}", file=sys.stderr)
-        return FAILED
+        return 1
     return 0

@@ -68,10 +68,6 @@ class Training:
 
     Attributes:
         n_updates: done so far.
-
-    Raises:
-        BlockingIOError: if another process works in the folder.
-        FileExistsError: if the folder holds a run of another recipe, or no run made it.
     """
 
     def __init__(self, recipe: PretrainRecipe, images: ImageStream) -> None:
@@ -102,10 +98,7 @@ class Training:
     def run(self) -> Iterator[dict[str, Any]]:
         """Learn until all images have been seen, then write the weights; yield a line of the log after each save.
 
-        The weights are for the option ``weights`` of `Eye`.
-
-        Raises:
-            FloatingPointError: if the loss is not finite.
+        The weights are for the option ``weights`` of `Eye`. Raises what ``update`` raises.
         """
         while not self.finished:
             ahead = min(self.recipe.save_every, self._all_updates - self.n_updates)

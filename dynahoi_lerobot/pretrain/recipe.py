@@ -48,11 +48,7 @@ class PretrainRecipe:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        """Check what could only fail after minutes.
-
-        Raises:
-            ValueError: naming the value received and the ones allowed.
-        """
+        """Check what could only fail after minutes; ValueError naming the value received and the ones allowed."""
         if self.camera not in CAMERAS:
             raise ValueError(f"camera must be {' or '.join(CAMERAS)}, got {self.camera}")
         for name in ("n_episodes", "batch_size", "save_every"):

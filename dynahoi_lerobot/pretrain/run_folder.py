@@ -17,12 +17,7 @@ class RunFolder:
     """Keeps log and saved state together: what was logged after the last save is dropped when a run resumes from it."""
 
     def __init__(self, path: Path, task: dict[str, Any]) -> None:
-        """Claim a folder for ``task`` as long as this object lives, see ``working_folder``.
-
-        Raises:
-            BlockingIOError: if another process works in it.
-            FileExistsError: if it belongs to another task, or no run made it.
-        """
+        """Claim a folder for ``task`` as long as this object lives; raises what ``working_folder`` raises."""
         self.path = path
         claim = ExitStack()
         claim.enter_context(working_folder(path, task))

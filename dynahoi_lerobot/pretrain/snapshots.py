@@ -136,7 +136,7 @@ NOW, BEFORE = 0, 1
 
 def _pose(spec: EpisodeSpec, rng: np.random.Generator) -> np.ndarray:
     """Draw (2, 21) hand (18) and target (3) [m, rad], home frame, at a frame of an episode and at the one before."""
-    path = spec.oracle_path - spec.home_pos_w
+    path = spec.target_path_w - spec.home_pos_w
     pose = _at_home(spec, path, rng) if rng.random() < HOME_SHARE else _on_its_way(spec, path, rng)
     return pose[[NOW, NOW]] if rng.random() < REPEATED_SHARE else pose
 

@@ -19,6 +19,7 @@ from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.evaluate.rows import STRATA, Row
 from dynahoi_lerobot.evaluate.summary import Estimate
 from dynahoi_lerobot.evaluate.table import columns_for, heading
+from dynahoi_lerobot.metrics.grasp import FINGERS_AT_LEAST
 from dynahoi_lerobot.report.entries import COLOURS, Entry, clip, distinct_episodes, short_name
 
 if TYPE_CHECKING:
@@ -316,9 +317,6 @@ def time_to_catch(entries: Sequence[Entry]) -> Figure:
     panel.set_ylim(0, 100)
     legend(drawing, legend_items(entries))
     return drawing
-
-
-FINGERS_AT_LEAST = {"loose": 3, "medium": 4, "strict": 5}
 
 
 @figure("per-frame-grasp", "Grasp, frame by frame")

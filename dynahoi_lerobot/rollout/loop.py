@@ -34,13 +34,7 @@ class Session:
     """
 
     def __init__(self, batch: WorldBatch, *, record_images: bool = True, render_later: bool = False) -> None:
-        """Play in ``batch``.
-
-        Args:
-            batch: the worlds.
-            record_images: whether to keep what was rendered for the episodes.
-            render_later: whether to render an episode when it has ended, for a batch that ``renders_later``.
-        """
+        """Play in ``batch``; episodes keep what was rendered, or are rendered at their end if it ``renders_later``."""
         self.batch, self.record_images, self._render_later = batch, record_images, render_later
         self.observation: Observation | None = None
         self._recorders: dict[int, WorldRecorder] = {}

@@ -207,7 +207,7 @@ def episode_constants(batch: WorldBatch, spec: EpisodeSpec, meeting: Meeting | N
     model = batch.scene.model
     return object_constants(spec.motion, spec.target) | {
         "home_position": spec.home_pos_w,
-        "target_path": spec.oracle_path - spec.home_pos_w,
+        "target_path": spec.target_path_w - spec.home_pos_w,
         "intercept_position": spec.intercept_pos_h,
         "open_joints": spec.open_joints,
         "reference_joints": spec.reference_joints,

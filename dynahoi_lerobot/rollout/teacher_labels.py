@@ -12,7 +12,7 @@ from typing import Self
 import numpy as np
 
 from dynahoi_lerobot.core.agent import Agent, Expert, Meeting, Observation, WorldState
-from dynahoi_lerobot.core.conventions import PALM_DOF
+from dynahoi_lerobot.core.conventions import DISTURBANCE_STREAM, PALM_DOF
 from dynahoi_lerobot.core.rules import ControlClass
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts.base import Teacher
@@ -28,8 +28,6 @@ TREMOR_ODDS, TREMOR_M = 0.5, 0.006
 PERTURBED_ATTEMPTS = 3
 """Attempts at an episode that are perturbed, each differently. A further attempt is not, so that targets that pass only
 once are recorded too."""
-STREAM = 0xD157
-"""Separates these random draws from those that sample the episode from the same seed."""
 
 
 def labels(teacher: Expert, world: WorldState) -> np.ndarray:
@@ -60,8 +58,10 @@ class Perturbation:
     @classmethod
     def drawn(cls, spec: EpisodeSpec, attempt: int, share: float) -> Self:
         """Draw it; only a ``share`` (0 to 1) of the episodes is perturbed, and those in ``PERTURBED_ATTEMPTS`` only."""
-        rng, frames = np.random.default_rng([STREAM, spec.seed, attempt]), spec.horizon_frames
-        perturbed = np.random.default_rng([STREAM, spec.seed]).random() < share and attempt <= PERTURBED_ATTEMPTS
+        rng, frames = np.random.default_rng([DISTURBANCE_STREAM, spec.seed, attempt]), spec.horizon_frames
+        perturbed = (
+            np.random.default_rng([DISTURBANCE_STREAM, spec.seed]).random() < share and attempt <= PERTURBED_ATTEMPTS
+        )
         begins = rng.random(frames) < PULL_ODDS
         lengths = rng.integers(PULL_FRAMES[0], PULL_FRAMES[1] + 1, frames)
         pull_m = rng.normal(0.0, PULL_M, (frames, PALM_DOF))

@@ -78,7 +78,7 @@ RULES = {
     "control_hz": conventions.CONTROL_HZ,
     "window_fraction": conventions.WINDOW_FRACTION,
     "min_window_frames": conventions.MIN_WINDOW_FRAMES,
-    "intercept_speed_m_s": conventions.HAND_SPEED_M_S,
+    "intercept_speed_m_s": conventions.INTERCEPT_SPEED_M_S,
     "localization_radius_m": LOCALIZATION_RADIUS_M,
     "lenient_radius_m": conventions.LENIENT_RADIUS_M,
     "grasp_fraction": (conventions.GRASP_FRACTION, conventions.LARGEST_GRASP_FRACTION),

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from dynahoi_lerobot.core.conventions import APPEARANCE_STREAM
 from dynahoi_lerobot.core.numerics import cos, sin
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.scene.appearance import Appearance, Solid, hsv
@@ -16,15 +17,13 @@ from dynahoi_lerobot.scene.model import DISTRACTORS
 
 BEHIND_M = 0.35
 """Distractors stand at least this far behind the farthest point of the target's path, so that they hide nothing."""
-SEED_PREFIX = 0xA99EA
-"""Keeps these random numbers apart from those that episodes are sampled from."""
 
 
 def randomize_appearance(spec: EpisodeSpec, names: Sequence[str]) -> EpisodeSpec:
     """Return the episode with the appearance that each of ``names`` in ``RANDOMIZATIONS`` draws for its seed."""
     for number, (name, draw) in enumerate(RANDOMIZATIONS.items()):
         if name in names:
-            rng = np.random.default_rng([SEED_PREFIX, number, spec.seed])
+            rng = np.random.default_rng([APPEARANCE_STREAM, number, spec.seed])
             spec = replace(spec, appearance=draw(spec, rng))
     return spec
 
@@ -64,7 +63,7 @@ def _transparency(spec: EpisodeSpec, rng: np.random.Generator) -> Appearance:
 
 def _distractors(spec: EpisodeSpec, rng: np.random.Generator) -> Appearance:
     """One to four coloured solids that stand or float behind the target's path and do not move."""
-    begin = max(float(spec.oracle_path[:, 0].max()), float(spec.home_pos_w[0])) + BEHIND_M
+    begin = max(float(spec.target_path_w[:, 0].max()), float(spec.home_pos_w[0])) + BEHIND_M
     chosen = rng.permutation(list(DISTRACTORS))[: rng.integers(1, len(DISTRACTORS) + 1)]
     things = [
         Solid(

@@ -15,15 +15,15 @@ from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.motions import MOTIONS, Draw, Motion, PrescribedMotion, Retimed
 from dynahoi_lerobot.motions.launch import Box
 from dynahoi_lerobot.objects import OBJECTS, TargetObject
-from dynahoi_lerobot.sampling.furniture import furnish
 from dynahoi_lerobot.sampling.homes import choose_home, find_homes, in_arena
-from dynahoi_lerobot.sampling.oracle_path import RollAhead
 from dynahoi_lerobot.sampling.randomization import randomize_appearance
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.screen import with_screen
 from dynahoi_lerobot.sampling.splits import salt_words, stream_label
+from dynahoi_lerobot.sampling.target_path import RollAhead
 from dynahoi_lerobot.sampling.timing import Timing, draw_timing
 from dynahoi_lerobot.scene.appearance import Appearance
+from dynahoi_lerobot.scene.furniture import furnish
+from dynahoi_lerobot.scene.screen import with_screen
 
 MAX_ATTEMPTS = 400
 ATTEMPTS_PER_TIMING = 30
@@ -176,12 +176,12 @@ class Candidate:
             intercept_pos_w=paths_w[-1][self.timing.intercept_frame],
             yaw_rad=float(self.rng.uniform(0, 2 * np.pi)),
             spin_rad_s=float(self.rng.uniform(-MAX_SPIN_RAD_S, MAX_SPIN_RAD_S)),
-            oracle_path=paths_w[-1],
+            target_path_w=paths_w[-1],
             fingerprint=self.recipe.fingerprint(),
         )
         spec = randomize_appearance(furnish(spec), self.recipe.appearance)  # around the longest path
         played = self.recipe.split_definition.path_speeds.index(self.recipe.path_speed)
-        spec = replace(spec, motion=self.motions[played], oracle_path=paths_w[played])
+        spec = replace(spec, motion=self.motions[played], target_path_w=paths_w[played])
         return with_screen(spec) if PROTOCOLS[self.recipe.protocol].has_screen else spec
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import CONTROL_DT, HAND_SPEED_M_S, MIN_WINDOW_FRAMES, WINDOW_FRACTION
+from dynahoi_lerobot.core.conventions import CONTROL_DT, INTERCEPT_SPEED_M_S, MIN_WINDOW_FRAMES, WINDOW_FRACTION
 from dynahoi_lerobot.core.numerics import cbrt
 from dynahoi_lerobot.core.rules import PROTOCOLS
 from dynahoi_lerobot.motions import MOTIONS, Motion
@@ -59,7 +59,7 @@ def window_frames(length_frames: int) -> int:
 
 def approach_frames(travel_m: float) -> int:
     """Return how many frames the hand needs for ``travel_m`` [m] at its fixed speed, at least 5."""
-    return max(MIN_APPROACH_FRAMES, int(np.ceil(travel_m / (HAND_SPEED_M_S * CONTROL_DT) - 1e-9)))
+    return max(MIN_APPROACH_FRAMES, int(np.ceil(travel_m / (INTERCEPT_SPEED_M_S * CONTROL_DT) - 1e-9)))
 
 
 def draw_timing(kind: str, protocol: str, rng: np.random.Generator) -> Timing:
@@ -80,7 +80,7 @@ def _draw_travel(motion: type[Motion], travel_bin: int, rng: np.random.Generator
     intercept, where a hand that sees nothing meets most targets.
     """
     low, high = BENCHMARK.travels.edges[travel_bin : travel_bin + 2]
-    high = min(high, motion.max_approach_frames * HAND_SPEED_M_S * CONTROL_DT)
+    high = min(high, motion.max_approach_frames * INTERCEPT_SPEED_M_S * CONTROL_DT)
     return float(cbrt(rng.uniform(low**3, high**3)))
 
 

@@ -1,1 +1,1 @@
-"""The compiled MuJoCo model of all episodes, and the per-world fields that set up one."""
+"""The compiled MuJoCo model of all episodes, the per-world fields that set up one, furniture and screens."""

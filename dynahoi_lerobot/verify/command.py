@@ -26,7 +26,6 @@ from dynahoi_lerobot.verify.replay import replay_problems
 from dynahoi_lerobot.verify.seeds import seed_problems
 from dynahoi_lerobot.verify.verdicts import verdict_problems
 
-PASSED, FAILED = 0, 1
 SHOWN, LONGEST = 5, 600
 """Findings of a claim that are reported, the rest are counted; characters of a finding that are shown."""
 
@@ -60,11 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Verify a dataset and print the findings; return the exit code: 0 no findings, 1 findings.
-
-    Raises:
-        FileNotFoundError: if ``root`` holds no dataset.
-    """
+    """Verify a dataset and print the findings; return the exit code: 0 no findings, 1 findings."""
     try:
         episodes = Store(args.root).info.get("total_episodes")
     except ValueError:
@@ -76,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     print(f"{args.root}: {f'{len(findings)} findings' if findings else f'{episodes} episodes, no findings'}")
     if args.json:
         args.json.write_text(json.dumps([asdict(finding) for finding in findings], indent=2))
-    return FAILED if findings else PASSED
+    return 1 if findings else 0
 
 
 def verify(

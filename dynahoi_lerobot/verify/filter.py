@@ -32,13 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the outliers and copy all other episodes; return the exit code.
-
-    Raises:
-        FileExistsError: if the new folder exists.
-        FileNotFoundError: if there is no such dataset.
-        ValueError: for another bad argument.
-    """
+    """Print the outliers and copy all other episodes; return the exit code."""
     output: Path | None = None if args.dry_run else args.out
     if output is None and not args.dry_run:
         raise ValueError("say where the new dataset goes with --out DIR, or --dry-run to see what it would lack")

@@ -60,17 +60,10 @@ class VlmAgent(ChunkAgent):
             [queue.popleft() if queue else state for queue, state in zip(self._planned, states, strict=True)]
         )
 
-    def plan(
-        self,
-        observation: Observation,
-        worlds: np.ndarray,
-        *,
-        executed: np.ndarray | None = None,
-        delays: np.ndarray | None = None,
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def plan(self, observation: Observation, worlds: np.ndarray, **_: Any) -> tuple[np.ndarray, np.ndarray]:
         """Return a chunk for each of ``worlds`` (n,) and the seconds that each decision took.
 
-        Worlds whose episode has ended are skipped.
+        Worlds whose episode has ended are skipped. A model continues no earlier chunk.
         """
         shown = [i for i in worlds.tolist() if observation.images[EGO_VIEW][i].any()]
         actions = np.repeat(observation.state[:, None].astype(np.float64), HORIZON, axis=1)
@@ -181,11 +174,7 @@ class VlmClient:
         return commands, took
 
     async def _answer(self, task: str, messages: list[dict[str, Any]]) -> np.ndarray:
-        """Return the commands of one answer.
-
-        Raises:
-            ReplyError: if it is not in the requested format.
-        """
+        """Return the commands of one answer; ReplyError if it is not in the requested format."""
         self._totals["answers"] += 1
         completion = await self._complete(messages)
         if completion.usage:

@@ -1,1 +1,1 @@
-"""N simulated worlds over one model: reset, step, observe; and the path of a target that nobody touches."""
+"""N simulated worlds over one model: reset, step, observe."""

@@ -160,14 +160,13 @@ class WorldBatch:
         self._update_kinematics(chosen)
 
     def as_commands(self, actions: np.ndarray, observation: Observation) -> np.ndarray:
-        """Return (N, 18) the commands of actions given on an observation; experts' commands stay what they are.
+        """Return (N, 18) the commands of actions given on an observation, refused as by ``step``.
+
+        Experts' commands stay what they are.
 
         Args:
             actions: (N, 4) in control mode ``grasp``, or (N, 18) commands.
             observation: of all worlds, from which displacements are counted.
-
-        Raises:
-            ValueError: as ``step``.
         """
         actions = np.asarray(actions)
         if self.recipe.control_mode == JOINTS or actions.shape[1:] == (HAND_DOF,):
@@ -378,11 +377,7 @@ class WorldBatch:
         return images
 
     def _make_detector(self) -> Detector:
-        """Return the eye, which comes with the ObAct plugin.
-
-        Raises:
-            ValueError: if that is not installed.
-        """
+        """Return the eye, which comes with the ObAct plugin; ValueError if that is not installed."""
         try:
             from dynahoi_lerobot.world.detector import Detector
         except ImportError as error:

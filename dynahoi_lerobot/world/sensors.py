@@ -7,16 +7,13 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from dynahoi_lerobot.core.conventions import DEFAULT_IMAGE_SIZE_PX, EGO_VIEW, FINGERS
+from dynahoi_lerobot.core.conventions import DEFAULT_IMAGE_SIZE_PX, EGO_VIEW, FINGERS, RENDER_NOISE_STREAM
 from dynahoi_lerobot.core.numerics import matrix_to_rotvec, tan
 from dynahoi_lerobot.renderers import RENDERERS, Renderer
 from dynahoi_lerobot.renderers.views import VIEWS
 from dynahoi_lerobot.scene.scene import Scene
 from dynahoi_lerobot.scene.signed_distance import signed_distance
 from dynahoi_lerobot.scene.world_fields import WorldFields
-
-RENDER_NOISE = 0x0153
-"""Distinguishes the random numbers of the render noise from others of the same seed."""
 
 MOTION_FRAMES = [0, 2, 4]
 """How many frames ago the channels of ``ego_motion`` were seen."""
@@ -29,7 +26,7 @@ def with_render_noise(image: np.ndarray, levels: int, seed: int, frame: int, vie
 
     The changes are uniform whole numbers, a function of the episode's seed, the frame and the view.
     """
-    rng = np.random.default_rng([RENDER_NOISE, seed, frame, zlib.crc32(view.encode())])
+    rng = np.random.default_rng([RENDER_NOISE_STREAM, seed, frame, zlib.crc32(view.encode())])
     change = rng.integers(-levels, levels, image.shape, np.int16, endpoint=True)
     return np.clip(image + change, 0, 255).astype(np.uint8)
 

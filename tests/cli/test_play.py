@@ -42,7 +42,7 @@ def playing(kept: list[Episode], player, *, host: str = "127.0.0.1", token: str 
     async def both():
         address = asyncio.get_running_loop().create_future()
         server = asyncio.ensure_future(PlayServer(game(kept, **options), host, 0, token).run(address.set_result))
-        async with aiohttp.ClientSession() as session, asyncio.timeout(60):
+        async with aiohttp.ClientSession() as session, asyncio.timeout(300):
             try:
                 return await player(session, (await address).replace("0.0.0.0", "127.0.0.1"))
             finally:
@@ -148,6 +148,19 @@ def test_a_malformed_message_ends_the_connection_and_nothing_else(message):
     code, ready = playing([], player)
     assert code in (BAD_MESSAGE, aiohttp.WSCloseCode.MESSAGE_TOO_BIG)
     assert ready is not None
+
+
+def test_a_flood_of_inputs_is_swallowed():
+    async def player(session, address):
+        async with session.ws_connect(socket_of(address), max_msg_size=0) as socket:
+            await told(socket, "ready")
+            for number in range(3000):
+                steering = {"x": number % 3 - 1, "y": 0, "depth": 0, "closed": 1, "sent": number}
+                await socket.send_json(steering if number % 10 else {"play": PRACTICE})
+            await told(socket, "result")
+            return await told(socket, "ready")
+
+    assert playing([], player)["practised"] == 1
 
 
 def test_foreign_pages_rebound_names_and_missing_tokens_are_refused():

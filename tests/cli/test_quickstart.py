@@ -34,7 +34,7 @@ def test_it_trains_on_the_device_it_is_evaluated_on(tmp_path: Path, monkeypatch:
 
 def test_options_decide_how_much_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     sizes: list[quickstart.Size] = []
-    monkeypatch.setattr(quickstart, "_run_stages", lambda _, size, __: sizes.append(size))
+    monkeypatch.setattr(quickstart, "_run_stages", lambda _, size: sizes.append(size))
     monkeypatch.setattr(quickstart, "_conclude", lambda *_, **__: None)
     for words in ([], ["--episodes", "4", "--steps", "10", "--evaluation-episodes", "3"], ["--tiny"]):
         assert main(["quickstart", "--out", str(tmp_path / str(len(words))), *words]) == 0
@@ -70,12 +70,12 @@ def test_baselines_that_stopped_halfway_are_gone_on_with(tmp_path: Path, monkeyp
         monkeypatch.setattr(quickstart, name, lambda *_, name=name: ran.append(name))
     for folder in ("dataset", "training/pretrained_model", "results/obact", "results/hold"):
         (tmp_path / folder).mkdir(parents=True)
-    quickstart._run_stages(tmp_path, quickstart.TINY, 0.0)
+    quickstart._run_stages(tmp_path, quickstart.TINY)
     assert sorted(ran) == ["_baselines", "_train"], "an empty folder is no checkpoint"
     ran.remove("_train")
     (tmp_path / "training/pretrained_model/model.safetensors").touch()
     (tmp_path / quickstart.TABLE).touch()
-    quickstart._run_stages(tmp_path, quickstart.TINY, 0.0)
+    quickstart._run_stages(tmp_path, quickstart.TINY)
     assert ran == ["_baselines"]
 
 

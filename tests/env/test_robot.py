@@ -1,13 +1,17 @@
 """The simulated hand behind LeRobot's robot interface: its clock, its episodes, and LeRobot's own programs on it."""
 
+import asyncio
+import socket
 from dataclasses import dataclass, field
+from threading import Thread
 
+import aiohttp
 import numpy as np
 import pytest
 from lerobot.robots import make_robot_from_config
 from lerobot.teleoperators import make_teleoperator_from_config
 from lerobot.utils.errors import DeviceNotConnectedError
-from lerobot_robot_dynahoi import DynahoiExpertConfig, DynahoiRobot, DynahoiRobotConfig
+from lerobot_robot_dynahoi import DynahoiBrowserConfig, DynahoiExpertConfig, DynahoiRobot, DynahoiRobotConfig
 
 from dynahoi_lerobot.evaluate.results import read_results
 
@@ -112,6 +116,48 @@ def test_the_next_episode_begins_when_lerobot_comes_back_from_a_pause():
     assert robot.world.finished is None
 
 
+def test_a_person_at_the_page_moves_the_robot():
+    browser, seen = make_teleoperator_from_config(DynahoiBrowserConfig(port=0)), []
+
+    async def steer():
+        while not browser.server.address:
+            await asyncio.sleep(0.01)
+        async with (
+            aiohttp.ClientSession() as session,
+            session.ws_connect(browser.server.address + "play") as page,
+        ):
+            async for message in page:
+                seen.append(message)
+                await page.send_json({"x": 0, "y": 1, "depth": 0, "closed": 1})
+
+    person = Thread(target=asyncio.run, args=(steer(),), daemon=True)
+    person.start()
+    browser.connect()
+    robot = robot_on(Clock(), realtime=False)
+    open_hand = robot.get_observation()
+    for _ in range(1000):
+        robot.send_action(browser.get_action())
+        if robot.world.finished:
+            break
+    told = robot.get_observation()
+    browser.disconnect()
+    person.join(5)
+    assert told["palm_z.pos"] > open_hand["palm_z.pos"] + 0.1, "up, where the pointer was"
+    assert told["index_base.pos"] != open_hand["index_base.pos"]
+    facts, image = (
+        next(m for m in seen if m.type == kind) for kind in (aiohttp.WSMsgType.TEXT, aiohttp.WSMsgType.BINARY)
+    )
+    assert facts.json()["frame"]["window_s"] > 0
+    assert image.data[:2] == b"\xff\xd8", "a JPEG"
+
+
+def test_an_address_in_use_is_refused():
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        with pytest.raises(OSError, match=str(port)):
+            make_teleoperator_from_config(DynahoiBrowserConfig(port=port)).connect()
+
+
 def test_the_next_episode_begins_after_restart_s_and_results_are_written(tmp_path):
     clock = Clock()
     robot = robot_on(clock, restart_s=1.0, results_dir=tmp_path / "results")
@@ -123,6 +169,12 @@ def test_the_next_episode_begins_after_restart_s_and_results_are_written(tmp_pat
         robot.send_action(dict.fromkeys(robot.action_features, 0.0))
     assert robot.world.spec.seed != first
     assert read_results(tmp_path / "results").seeds == {first}
+    robot.disconnect()
+    again = robot_on(Clock(), results_dir=tmp_path / "results")
+    assert again.world.spec.seed != first, "it goes on where it stopped"
+    again.disconnect()
+    with pytest.raises(FileExistsError, match="another run"):
+        robot_on(Clock(), results_dir=tmp_path / "results", capture="contact")
 
 
 def test_lerobot_makes_it_from_its_config():

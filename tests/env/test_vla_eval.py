@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from dynahoi_benchmark import DynahoiBenchmark
 from vla_eval.benchmarks.base import Benchmark
 from vla_eval.cli.config_loader import load_config
 from vla_eval.cli.smoke import SmokeTest, run_validate, smoke_test_from_path
@@ -15,7 +16,6 @@ from vla_eval.recording import NullEpisodeRecorder
 from vla_eval.registry import resolve_import_string
 from vla_eval.runners.sync_runner import SyncEpisodeRunner
 
-from dynahoi_lerobot.env.vla_eval import DynahoiBenchmark
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.motions import CATEGORIES

@@ -84,11 +84,11 @@ def test_lines_and_circles_have_constant_speed(kind: str):
 def test_every_sampled_path_is_finite_inside_the_arena_and_moving(kind: str):
     for spec in sampled(kind):
         assert spec.motion.name == kind
-        assert len(spec.oracle_path) == spec.window_frames + spec.length_frames + 1
-        _assert_in_arena(spec.oracle_path)
+        assert len(spec.target_path_w) == spec.window_frames + spec.length_frames + 1
+        _assert_in_arena(spec.target_path_w)
         if isinstance(spec.motion, PrescribedMotion):  # between frames, too
             _assert_in_arena(spec.motion.position(np.arange(0.0, spec.horizon_frames * CONTROL_DT, PHYSICS_DT)))
-        until_met = spec.oracle_path[: spec.intercept_frame + 1]
+        until_met = spec.target_path_w[: spec.intercept_frame + 1]
         path_m = np.linalg.norm(np.diff(until_met, axis=0), axis=1).sum()
         assert path_m > MIN_PATH_M, f"{spec.motion.name} of seed {spec.seed} covers only {path_m:.4f} m"
 

@@ -7,9 +7,9 @@ import pytest
 
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.rollout.loop import record
-from dynahoi_lerobot.sampling.furniture import furnish
 from dynahoi_lerobot.sampling.randomization import RANDOMIZATIONS, randomize_appearance
 from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.scene.furniture import furnish
 from dynahoi_lerobot.scene.model import ARENA_HALF_M, FURNITURE_SLOTS
 from tests.world.playing import wait, world
 
@@ -55,7 +55,7 @@ def test_distractors_stand_behind_the_targets_path(few: list[EpisodeSpec]) -> No
     for spec in few:
         things = randomize_appearance(spec, ["distractors"]).appearance.distractors
         assert 1 <= len(things) <= 4
-        assert all(thing.pos_w[0] - max(thing.half_size) > spec.oracle_path[:, 0].max() for thing in things)
+        assert all(thing.pos_w[0] - max(thing.half_size) > spec.target_path_w[:, 0].max() for thing in things)
 
 
 def test_translucent_targets_are_blended_with_what_is_behind(few: list[EpisodeSpec]) -> None:
@@ -81,7 +81,7 @@ def test_every_seed_has_its_own_furniture(specs: list[EpisodeSpec]) -> None:
 
 def test_furniture_stands_in_the_room_and_clear_of_the_path(specs: list[EpisodeSpec]) -> None:
     for spec in specs[:44]:
-        low, high = spec.oracle_path.min(axis=0) - 0.3, spec.oracle_path.max(axis=0) + 0.3
+        low, high = spec.target_path_w.min(axis=0) - 0.3, spec.target_path_w.max(axis=0) + 0.3
         for solid in spec.appearance.furniture:
             pos, half = np.asarray(solid.pos_w), np.asarray(solid.half_size)
             assert (np.abs(pos[:2]) + half[:2] <= ARENA_HALF_M + 1e-6).all()

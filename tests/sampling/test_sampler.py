@@ -6,17 +6,18 @@ import mujoco
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.core.conventions import CONTROL_DT, FINGER_DOF, HAND_SPEED_M_S, MIN_WINDOW_FRAMES, UNIT_M
+from dynahoi_lerobot.core.conventions import CONTROL_DT, FINGER_DOF, INTERCEPT_SPEED_M_S, MIN_WINDOW_FRAMES, UNIT_M
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.motions.launch import Box
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
-from dynahoi_lerobot.sampling.homes import REFERENCE_HAND, keeps_clear, visible
-from dynahoi_lerobot.sampling.oracle_path import RollAhead
+from dynahoi_lerobot.sampling.homes import visible
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import MIN_OBSERVED_S, sample_spec, sample_specs
+from dynahoi_lerobot.sampling.target_path import RollAhead
 from dynahoi_lerobot.sampling.timing import MIN_APPROACH_FRAMES, draw_timing, kind_table
+from dynahoi_lerobot.scene.clearance import REFERENCE_HAND, keeps_clear
 from dynahoi_lerobot.scene.scene import compile_scene
 from tests.world.playing import SMALL
 
@@ -47,11 +48,11 @@ def test_the_22_kinds_take_turns(specs: list[EpisodeSpec]):
 
 def test_the_intercept_is_the_earliest_the_hand_can_reach(specs: list[EpisodeSpec]):
     for spec in specs:
-        assert spec.oracle_path[spec.intercept_frame] == pytest.approx(spec.intercept_pos_w)
+        assert spec.target_path_w[spec.intercept_frame] == pytest.approx(spec.intercept_pos_w)
         reachable = []
         for frame in range(spec.window_frames + MIN_APPROACH_FRAMES, spec.horizon_frames):
-            distance = float(np.linalg.norm(spec.oracle_path[frame] - spec.home_pos_w))
-            if distance <= HAND_SPEED_M_S * (frame - spec.window_frames) * CONTROL_DT + 1e-12:
+            distance = float(np.linalg.norm(spec.target_path_w[frame] - spec.home_pos_w))
+            if distance <= INTERCEPT_SPEED_M_S * (frame - spec.window_frames) * CONTROL_DT + 1e-12:
                 reachable.append(frame)
         assert reachable[0] == spec.intercept_frame, f"{spec.motion.name} of seed {spec.seed}"
 
@@ -71,7 +72,7 @@ def test_the_hand_waits_in_front_of_a_target_it_can_watch(specs: list[EpisodeSpe
     mujoco.mju_quat2Mat(axes, model.cam_quat[camera])
     slope = np.tan(np.radians(model.cam_fovy[camera] / 2))
     for spec in specs:
-        seen = spec.oracle_path[: spec.window_frames + 1] - spec.home_pos_w
+        seen = spec.target_path_w[: spec.window_frames + 1] - spec.home_pos_w
         assert (seen[:, 0] > 0).all(), "the palm faces +x"
         assert np.linalg.norm(seen, axis=1).min() > 0.07
         right, up, back = ((seen - model.cam_pos[camera]) @ axes.reshape(3, 3)).T
@@ -104,7 +105,7 @@ def test_what_is_let_go_is_seen_moving_before_control_starts(specs: list[Episode
 def test_without_a_window_control_starts_at_once():
     for spec in sample_specs(replace(SMALL, protocol="direct_act"), range(4)):
         assert spec.window_frames == 0
-        assert len(spec.oracle_path) == spec.length_frames + 1
+        assert len(spec.target_path_w) == spec.length_frames + 1
 
 
 def test_the_oracle_rolls_each_world_alone(specs: list[EpisodeSpec]):
@@ -113,7 +114,7 @@ def test_the_oracle_rolls_each_world_alone(specs: list[EpisodeSpec]):
     together = RollAhead(motions, targets, [30, 44, 12, 20], threads=2)
     for wanted in ({0: 9, 1: 14, 2: 12}, {0: 30, 1: 44, 3: 20}, {2: 5}):
         for i, path in together.paths(wanted).items():
-            np.testing.assert_array_equal(path, chosen[i].oracle_path[: wanted[i]])
+            np.testing.assert_array_equal(path, chosen[i].target_path_w[: wanted[i]])
 
 
 @pytest.mark.parametrize("style", ["reveal", "neutral", "mixed"])

@@ -11,10 +11,10 @@ from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.motions.launch import Box
 from dynahoi_lerobot.rollout.loop import evaluate
-from dynahoi_lerobot.sampling.homes import box_distance
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
-from dynahoi_lerobot.sampling.screen import apart, earliest_meeting, with_screen
+from dynahoi_lerobot.scene.clearance import box_distance
+from dynahoi_lerobot.scene.screen import apart, earliest_meeting, with_screen
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.world.playing import world
 
@@ -76,7 +76,7 @@ def test_the_screen_is_clear_of_palm_target_fixtures_and_floor(occluded: list[Ep
         panel = Box(screen.pos_w, (screen.half_size[0], screen.half_size[1], screen.half_size[2]))
         way = spec.home_pos_w + share * (spec.intercept_pos_w - spec.home_pos_w)
         assert box_distance(way, panel).min() > 0.025, spec.motion.name
-        assert box_distance(spec.oracle_path, panel).min() > spec.target.grasp_radius_m, spec.motion.name
+        assert box_distance(spec.target_path_w, panel).min() > spec.target.grasp_radius_m, spec.motion.name
         assert screen.pos_w[2] > screen.half_size[2]
 
 

@@ -89,7 +89,7 @@ def test_another_salt_is_another_episode_and_the_same_salt_the_same():
     assert public.motion.name == salted.motion.name == other.motion.name, "kinds still take turns"
     homes = np.stack([spec.home_pos_w for spec in (public, salted, other)])
     assert len(np.unique(homes, axis=0)) == 3
-    np.testing.assert_array_equal(sample_spec(replace(SMALL, salt=SALT), 3).oracle_path, salted.oracle_path)
+    np.testing.assert_array_equal(sample_spec(replace(SMALL, salt=SALT), 3).target_path_w, salted.target_path_w)
     assert public.split == "test"
     assert salted.split == f"test+{seal(SALT).removeprefix('sha256:')[:8]}"
     assert len({public.split, salted.split, other.split}) == 3
@@ -159,7 +159,7 @@ def test_recorded_command_lines_hide_it(words: list[str], kept: list[str]):
 
 SLOW, FAST = (Recipe(split="twins", path_speed=speed) for speed in (1.0, 1.6))
 N_KINDS = len(SLOW.motion_names)
-DIFFERENT = {"motion", "oracle_path", "fingerprint"}
+DIFFERENT = {"motion", "target_path_w", "fingerprint"}
 
 
 @pytest.fixture(scope="module")
@@ -191,12 +191,12 @@ def test_the_target_is_on_the_same_path_faster_and_at_the_intercept_in_the_same_
             fast.motion.position(meeting_s + later_s), slow.motion.position(meeting_s + 1.6 * later_s), atol=1e-9
         )
         for spec in (slow, fast):
-            assert np.linalg.norm(spec.oracle_path[spec.intercept_frame] - slow.intercept_pos_w) < 1e-9
+            assert np.linalg.norm(spec.target_path_w[spec.intercept_frame] - slow.intercept_pos_w) < 1e-9
 
 
 def test_both_can_be_watched_and_met_alike(pairs: list[tuple[EpisodeSpec, EpisodeSpec]]):
     for spec in (spec for pair in pairs for spec in pair):
-        seen = visible(spec.oracle_path[: spec.window_frames + 1] - spec.home_pos_w)
+        seen = visible(spec.target_path_w[: spec.window_frames + 1] - spec.home_pos_w)
         assert seen.mean() >= 0.9
     episodes = list(evaluate(WorldBatch(FAST, 12), EXPERTS["intercept"](), [fast for _, fast in pairs]))
     assert np.mean([episode.success for episode in episodes]) > 0.9

@@ -105,7 +105,7 @@ def shifted(spec: EpisodeSpec) -> EpisodeSpec:
         motion=replace(spec.motion, meeting=tuple((np.asarray(spec.motion.meeting) + SHIFT_W).tolist())),
         home_pos_w=spec.home_pos_w + SHIFT_W,
         intercept_pos_w=spec.intercept_pos_w + SHIFT_W,
-        oracle_path=spec.oracle_path + SHIFT_W,
+        target_path_w=spec.target_path_w + SHIFT_W,
     )
 
 
@@ -157,7 +157,7 @@ def test_an_episode_keeps_its_home_apart(expert_episodes: list[Episode], specs: 
         assert not episode.state[0, :PALM_DOF].any()
         np.testing.assert_allclose(
             episode.target_pose[: spec.window_frames, :3] + episode.home_position,
-            spec.oracle_path[: spec.window_frames],
+            spec.target_path_w[: spec.window_frames],
             atol=0.01 if spec.motion.category in ("inclined_rolling", "impact_response") else ROUNDING,
         )
 

@@ -16,7 +16,7 @@ CONTACT_RICH_M = {"projectile": 1e-6, "inclined_rolling": 0.01, "impact_response
 """Contacts amplify rounding: with a hand in the scene the solver stops after other iterations."""
 
 
-def test_untouched_targets_follow_their_oracle_paths(specs: list[EpisodeSpec]):
+def test_untouched_targets_follow_their_target_paths(specs: list[EpisodeSpec]):
     """Until something is localised, in the scene with a hand, whose commands are noise."""
     every_kind = specs[:22]
     batch, rng = world(every_kind), np.random.default_rng(4)
@@ -24,7 +24,7 @@ def test_untouched_targets_follow_their_oracle_paths(specs: list[EpisodeSpec]):
         for i, spec in enumerate(every_kind):
             tolerance = CONTACT_RICH_M.get(spec.motion.category, EXACT_M)
             if not batch.localized[i]:
-                error = np.abs(batch.target_pose[i, :3] + spec.home_pos_w - spec.oracle_path[frame]).max()
+                error = np.abs(batch.target_pose[i, :3] + spec.home_pos_w - spec.target_path_w[frame]).max()
                 assert error < tolerance, f"{spec.motion.name} is {error} m off at frame {frame}"
         commands = batch.executed.copy()
         commands[:, :3] = rng.uniform(-0.05, 0.05, (len(every_kind), 3))

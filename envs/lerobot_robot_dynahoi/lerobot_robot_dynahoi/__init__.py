@@ -5,9 +5,17 @@ LeRobot imports this package by its distribution name; importing it registers th
 
 from importlib.metadata import version
 
-from lerobot_robot_dynahoi.config_dynahoi import DynahoiExpertConfig, DynahoiRobotConfig
-from lerobot_robot_dynahoi.dynahoi import DynahoiExpert, DynahoiRobot
+from lerobot_robot_dynahoi.config_dynahoi import DynahoiBrowserConfig, DynahoiExpertConfig, DynahoiRobotConfig
+from lerobot_robot_dynahoi.dynahoi import DynahoiRobot
+from lerobot_robot_dynahoi.teleoperators import DynahoiBrowser, DynahoiExpert
 
 __version__ = version("lerobot_robot_dynahoi")
 
-__all__ = ["DynahoiExpert", "DynahoiExpertConfig", "DynahoiRobot", "DynahoiRobotConfig"]
+__all__ = [
+    "DynahoiBrowser",
+    "DynahoiBrowserConfig",
+    "DynahoiExpert",
+    "DynahoiExpertConfig",
+    "DynahoiRobot",
+    "DynahoiRobotConfig",
+]

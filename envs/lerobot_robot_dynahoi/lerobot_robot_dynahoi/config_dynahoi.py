@@ -26,9 +26,9 @@ class DynahoiRobotConfig(RobotConfig):
         image_size: side of the camera images [px].
         views: cameras besides ``ego``.
         realtime: whether the world moves at 20 Hz by the clock; else every action moves it by one frame.
-        restart_s: after an episode has ended, the next one begins this much later [s]; None if only LeRobot begins
-            episodes, as it does when it records.
-        results_dir: where metrics are written, as by ``dynahoi evaluate``; nowhere if None.
+        restart_s: after an episode has ended, the next one begins this much later [s], never if ``inf``; None if
+            LeRobot begins episodes, as it does when it records.
+        results_dir: where metrics are written, as by ``dynahoi evaluate``, and resumed; nowhere if None.
         player: who moves the hand, in those results.
     """
 
@@ -67,3 +67,16 @@ class DynahoiRobotConfig(RobotConfig):
 @dataclass(kw_only=True)
 class DynahoiExpertConfig(TeleoperatorConfig):
     """The privileged expert of the capture rule moves the connected ``dynahoi`` robot of this process."""
+
+
+@TeleoperatorConfig.register_subclass("dynahoi_browser")
+@dataclass(kw_only=True)
+class DynahoiBrowserConfig(TeleoperatorConfig):
+    """A person at a web page moves the connected ``dynahoi`` robot of this process.
+
+    Attributes:
+        host, port: where the page is served; the printed address holds a token if others can reach the host.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = 8765

@@ -80,7 +80,7 @@ def test_labels_are_what_the_expert_commands():
         for i, spec in enumerate(specs):
             if world.frame[i] > spec.window_frames + 2:
                 continue  # it may hold the target by then
-            path = torch.tensor(spec.oracle_path - spec.home_pos_w, dtype=torch.float32)[None]
+            path = torch.tensor(spec.target_path_w - spec.home_pos_w, dtype=torch.float32)[None]
             length = torch.tensor([path.shape[1]])
             targets = Targets(path, length, length, path, torch.tensor([NEVER]))
             due = torch.tensor([[max(int(world.frame[i]), spec.window_frames)]])

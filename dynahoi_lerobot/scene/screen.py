@@ -12,15 +12,15 @@ from typing import Self
 
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import CONTROL_DT
+from dynahoi_lerobot.core.conventions import CONTROL_DT, SCREEN_STREAM
 from dynahoi_lerobot.core.numerics import arcsin, arctan2, norm, product, quat_to_matrix, tan
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.hands.base import CAMERA_POS
 from dynahoi_lerobot.motions.launch import Box, Launch
 from dynahoi_lerobot.objects import TargetObject
-from dynahoi_lerobot.sampling.homes import box_distance, hand_points, keeps_clear
 from dynahoi_lerobot.scene.appearance import Solid, hsv
+from dynahoi_lerobot.scene.clearance import box_distance, hand_points, keeps_clear
 
 HIDDEN_FRAMES = (8, 7, 6)
 """Frames for which a panel is made, in the order tried; as the target goes in and comes out, some may add to them."""
@@ -30,7 +30,7 @@ RETURN_FRAMES = (0, 1, 2, 3)
 """How many frames before the meeting the target may come out again, in the order tried."""
 MIN_SEEN_FRAMES, MIN_SEEN_BEFORE_FRAMES = 4, 3
 """Least frames of the window in which a moving target is not hidden, and least of all frames before it vanishes."""
-HAND_SPEED_M_S = CONTROL_CLASSES[DEFAULT_CONTROL_CLASS].palm_speed_m_s
+FAST_HAND_M_S = CONTROL_CLASSES[DEFAULT_CONTROL_CLASS].palm_speed_m_s
 """Speed of the hand that meets the target as early as it can [m/s]."""
 FEWEST_APPROACH_FRAMES = 2
 HALF_THICKNESS_M = 0.006
@@ -42,8 +42,6 @@ CAMERA_ROOM_M = 0.04
 """Least distance of the panel's plane from the camera while it hides the target."""
 SPARE_M = 0.003
 """The panel hides a sphere that is larger by this than the one around the target."""
-SEED_PREFIX = 0x5C4EE7
-"""Keeps the colour's random numbers apart from those that episodes are sampled from."""
 INNER_SHARE = 0.8
 """A sphere of so much of the grasp radius is taken to be part of the target, however it is turned."""
 SLIVER_M = 0.006
@@ -52,7 +50,7 @@ STEEPEST_RAD = 1.5
 """Lines of sight that are more oblique to the panel do not count."""
 CAMERA_CLEARANCE_M, TARGET_CLEARANCE_M, FIXTURE_CLEARANCE_M = 0.02, 0.01, 0.01
 """Least distances of a screen from the camera, and from the surfaces of target, fixtures, string and striker."""
-WAY_POINTS, STRING_POINTS = 8, 24
+HAND_POSES, STRING_POINTS = 8, 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,12 +78,12 @@ class Sight:
     def until(cls, spec: EpisodeSpec, meeting: int) -> Self:
         """Return the sight of an episode until frame ``meeting``, which lies in its control phase."""
         share = (np.arange(meeting) - spec.window_frames) / (meeting - spec.window_frames)
-        way = np.maximum(share, 0.0)[:, None] * (spec.oracle_path[meeting] - spec.home_pos_w)
+        way = np.maximum(share, 0.0)[:, None] * (spec.target_path_w[meeting] - spec.home_pos_w)
         waiting = np.tile(spec.home_pos_w + CAMERA_POS, (meeting, 1))
         release_s = spec.motion.launch(spec.target).release_s
         return cls(
             eyes_w=np.stack([waiting, waiting + way]),
-            target_w=spec.oracle_path[:meeting],
+            target_w=spec.target_path_w[:meeting],
             radius_m=enclosing_radius_m(spec.target),
             inner_m=INNER_SHARE * spec.target.grasp_radius_m,
             release_frame=int(np.ceil(release_s / CONTROL_DT - 1e-9)),
@@ -111,7 +109,7 @@ def with_screen(spec: EpisodeSpec) -> EpisodeSpec | None:
     panel = place_panel(spec)
     if panel is None:
         return None
-    rng = np.random.default_rng([SEED_PREFIX, spec.seed])
+    rng = np.random.default_rng([SCREEN_STREAM, spec.seed])
     color = hsv(rng.random(), rng.uniform(0.0, 0.6), rng.uniform(0.3, 0.9))
     return replace(spec, appearance=replace(spec.appearance, screen=Solid("box", panel.half_size, panel.pos, color)))
 
@@ -131,10 +129,10 @@ def place_panel(spec: EpisodeSpec) -> Box | None:
 
 
 def earliest_meeting(spec: EpisodeSpec) -> int:
-    """Return the first frame at which a hand of ``HAND_SPEED_M_S`` that starts with the control phase is there."""
+    """Return the first frame at which a hand of ``FAST_HAND_M_S`` that starts with the control phase is there."""
     frames = np.arange(spec.horizon_frames) - spec.window_frames
-    distance = np.linalg.norm(spec.oracle_path - spec.home_pos_w, axis=1)
-    reached = (frames >= FEWEST_APPROACH_FRAMES) & (distance <= HAND_SPEED_M_S * CONTROL_DT * frames)
+    distance = np.linalg.norm(spec.target_path_w - spec.home_pos_w, axis=1)
+    reached = (frames >= FEWEST_APPROACH_FRAMES) & (distance <= FAST_HAND_M_S * CONTROL_DT * frames)
     return int(reached.argmax())  # there is one: a hand of 0.3 m/s reaches the intercept
 
 
@@ -215,11 +213,11 @@ def stands_clear(panel: Box, spec: EpisodeSpec, meeting: int, radius_m: float) -
     """
     home, launch = spec.home_pos_w, spec.motion.launch(spec.target)
     return (
-        bool(box_distance(spec.oracle_path, panel).min() > radius_m + TARGET_CLEARANCE_M)
+        bool(box_distance(spec.target_path_w, panel).min() > radius_m + TARGET_CLEARANCE_M)
         and all(apart(panel, box, FIXTURE_CLEARANCE_M) for box in launch.boxes)
-        and _clear_of_string(panel, launch, spec.oracle_path)
+        and _clear_of_string(panel, launch, spec.target_path_w)
         and _clear_of_striker(panel, launch, spec.intercept_frame)
-        and _clear_of_hand(panel, home, spec.oracle_path[meeting], hand_points())
+        and _clear_of_hand(panel, home, spec.target_path_w[meeting], hand_points())
         and _clear_of_hand(panel, home, spec.intercept_pos_w, np.zeros((1, 3)))
     )
 
@@ -229,7 +227,7 @@ def _clear_of_hand(panel: Box, home_w: np.ndarray, goal_w: np.ndarray, points: n
 
     The palm centre keeps as far from it as from fixtures; ``points`` (P, 3) of the hand must not be in it.
     """
-    way = home_w + np.linspace(0.0, 1.0, WAY_POINTS)[:, None] * (goal_w - home_w)
+    way = home_w + np.linspace(0.0, 1.0, HAND_POSES)[:, None] * (goal_w - home_w)
     return (
         bool(keeps_clear(home_w[None], goal_w, [panel]).all())
         and bool(box_distance(way + CAMERA_POS, panel).min() > CAMERA_CLEARANCE_M)

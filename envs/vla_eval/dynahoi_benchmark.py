@@ -1,7 +1,7 @@
 """The benchmark for ``vla-eval``, whose model servers play OpenVLA, OpenVLA-OFT, pi0 and others.
 
 benchmarks:
-  - benchmark: "dynahoi_lerobot.env.vla_eval:DynahoiBenchmark"
+  - benchmark: "dynahoi_benchmark:DynahoiBenchmark"
     episodes_per_task: 5
     params: {split: test_small, image_size: 224}
 

@@ -9,13 +9,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from dynahoi_lerobot.core.conventions import FURNITURE_STREAM
 from dynahoi_lerobot.core.numerics import product, quat_to_matrix
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.scene.appearance import Solid, hsv
 from dynahoi_lerobot.scene.model import ARENA_HALF_M, FURNITURE_SLOTS, SIDE_CAMERA_POS_M
 
-SEED_PREFIX = 0xF0A1
-"""Keeps these random numbers apart from those that episodes are sampled from."""
 CLEARANCE_M = 0.35
 """Room around everything that matters."""
 ATTEMPTS = 24
@@ -78,7 +77,7 @@ ON_THE_WALL = (_picture,)
 
 def furnish(spec: EpisodeSpec) -> EpisodeSpec:
     """Return the episode with furniture and a sleeve, drawn from random numbers of its own."""
-    rng = np.random.default_rng([SEED_PREFIX, spec.seed])
+    rng = np.random.default_rng([FURNITURE_STREAM, spec.seed])
     wood = hsv(rng.uniform(0.04, 0.11), rng.uniform(0.3, 0.65), rng.uniform(0.25, 0.75))
     pale = hsv(rng.random(), rng.uniform(0.0, 0.15), rng.uniform(0.3, 0.95))
     accent = hsv(rng.random(), rng.uniform(0.3, 0.9), rng.uniform(0.35, 0.9))
@@ -139,7 +138,7 @@ def _place(parts: list[Part], rng: np.random.Generator, ahead: float, *, on_wall
 def _kept_free(spec: EpisodeSpec) -> list[np.ndarray]:
     """Boxes (2, 3) [m], lower and upper corner: all that cameras and target do, and each fixture."""
     home = spec.home_pos_w
-    points = np.vstack([spec.oracle_path, home, home + SIDE_CAMERA_POS_M])
+    points = np.vstack([spec.target_path_w, home, home + SIDE_CAMERA_POS_M])
     boxes = [np.array([points.min(axis=0), points.max(axis=0)])]
     for box in spec.motion.launch(spec.target).boxes:
         reach = product(np.abs(quat_to_matrix(np.asarray(box.quat, float))), np.asarray(box.half_size))

@@ -1,0 +1,129 @@
+"""What a policy saw and expected, drawn on the images of the episode that it played: ``dynahoi view --thoughts``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from dynahoi_lerobot.core.agent import Observation
+from dynahoi_lerobot.core.conventions import EGO_VIEW, PALM_DOF
+from dynahoi_lerobot.core.numerics import quat_to_matrix
+from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
+from dynahoi_lerobot.renderers.views import VIEWS
+from dynahoi_lerobot.world.sensors import camera_pose, intrinsics
+
+if TYPE_CHECKING:
+    from dynahoi_lerobot.core.episode import Episode
+    from dynahoi_lerobot.world.batch import WorldBatch
+
+WIDTH_PX, STRIP_PX, LEGEND_PX = 480, 48, 20
+NEAREST_M = 0.02
+"""What is nearer to the camera, or behind it, is not drawn."""
+SIGHTED, EXPECTED, MEETING, BACK = (255, 214, 10), (64, 200, 255), (255, 70, 160), (30, 30, 34)
+TIMES_S = (0.5, 1.0, 2.4)
+"""Times ahead that are written beside the forecast [s]."""
+
+
+class ThinkingAgent(PolicyAgent):
+    """A policy whose record of every decision is kept.
+
+    Attributes:
+        thoughts: one a frame of the episode that it played last.
+    """
+
+    thoughts: list[Any]
+
+    def reset(self, count: int) -> None:
+        """Forget the last episode."""
+        super().reset(count)
+        self.thoughts = []
+
+    def act(self, observation: Observation) -> np.ndarray:
+        """Return (N, 18) commands, and keep what was thought.
+
+        Raises:
+            ValueError: if the policy keeps no record of its decisions.
+        """
+        command = super().act(observation)
+        if (thought := getattr(self._policy, "thought", None)) is None:
+            raise ValueError(f"--thoughts draws what ObAct records of its decisions; {self.name} records nothing")
+        self.thoughts.append(thought)
+        return command
+
+
+def drawn(episode: Episode, thoughts: Sequence[Any], batch: WorldBatch, view: str) -> np.ndarray:
+    """Return (T, H, W, 3) uint8 RGB: a view's images, enlarged, with one thought each, and a strip of attention.
+
+    Where a camera sees the target is a cross, where the target is expected are dots, the later the smaller, and where
+    the hand is to meet it a ring. The strip shows how much each frame observed so far counts.
+    """
+    images = episode.images[view]
+    pages = []
+    for k, image in enumerate(images):
+        page = cv2.resize(image, (WIDTH_PX, WIDTH_PX), interpolation=cv2.INTER_NEAREST)
+        thought = thoughts[min(k, len(thoughts) - 1)]
+        _draw_places(page, thought, _Camera(batch, view, episode.state[k, :PALM_DOF]))
+        pages.append(np.vstack([page, _strip(thought, len(images)), _legend()]))
+    return np.stack(pages)
+
+
+class _Camera:
+    """Projects places [m], home frame, to pixels of the enlarged image."""
+
+    def __init__(self, batch: WorldBatch, view: str, palm: np.ndarray) -> None:
+        model, (camera, _) = batch.scene.model, VIEWS[view]
+        pose = camera_pose(model, camera)
+        self._axes = quat_to_matrix(pose[3:])  # columns: right, up, backwards
+        self._origin = pose[:3] + (palm if camera == EGO_VIEW else 0.0)  # which the palm carries
+        self._focal, _, self._centre, _ = intrinsics(model, camera, WIDTH_PX)
+
+    def pixel(self, place: np.ndarray) -> tuple[int, int] | None:
+        """Return column and row, None if it is not in front of the camera."""
+        right, up, back = self._axes.T @ (place - self._origin)
+        if -back < NEAREST_M:
+            return None
+        column, row = self._centre + self._focal * np.array([right, -up]) / -back
+        return int(np.clip(column, -9999, 9999)), int(np.clip(row, -9999, 9999))
+
+
+def _draw_places(page: np.ndarray, thought: Any, camera: _Camera) -> None:
+    forecast, ahead_s = thought.forecast[0].numpy(), thought.ahead_s.numpy()
+    for place, seconds in reversed(list(zip(forecast, ahead_s, strict=True))):
+        if (at := camera.pixel(place)) is not None:
+            cv2.circle(page, at, max(2, round(6 - 2 * seconds)), EXPECTED, -1, cv2.LINE_AA)
+            if np.isclose(seconds, TIMES_S, atol=0.06).any():
+                _write(page, f"{seconds:.1f} s", (at[0] + 7, at[1] - 5), EXPECTED)
+    for place in thought.sighted[0].numpy():
+        if (at := camera.pixel(place)) is not None:
+            cv2.drawMarker(page, at, SIGHTED, cv2.MARKER_CROSS, 22, 2, cv2.LINE_AA)
+    if (at := camera.pixel(thought.meeting[0].numpy())) is not None:
+        cv2.circle(page, at, 13, MEETING, 2, cv2.LINE_AA)
+
+
+def _strip(thought: Any, n_frames: int) -> np.ndarray:
+    """Return a bar for every frame observed so far, as wide as its share of the episode."""
+    strip = np.full((STRIP_PX, WIDTH_PX, 3), BACK, np.uint8)
+    if thought.weights is None:
+        return strip
+    weights = thought.weights[0].mean(0).numpy()
+    edges = np.linspace(0, WIDTH_PX, max(n_frames, len(weights)) + 1).astype(int)
+    for weight, left, right in zip(weights, edges, edges[1:], strict=False):
+        top = STRIP_PX - max(1, round(float(weight / weights.max()) * (STRIP_PX - 4)))
+        strip[top:, left : max(left + 1, right - 1)] = SIGHTED
+    return strip
+
+
+def _legend() -> np.ndarray:
+    legend = np.full((LEGEND_PX, WIDTH_PX, 3), BACK, np.uint8)
+    words = (("+ seen", SIGHTED, 6), ("o expected", EXPECTED, 80), ("O meeting", MEETING, 185))
+    for word, colour, column in (*words, ("bars: weight of each frame", SIGHTED, 280)):
+        _write(legend, word, (column, 14), colour)
+    return legend
+
+
+def _write(page: np.ndarray, text: str, at: tuple[int, int], colour: tuple[int, int, int]) -> None:
+    for shade, width in ((BACK, 3), (colour, 1)):
+        cv2.putText(page, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.42, shade, width, cv2.LINE_AA)

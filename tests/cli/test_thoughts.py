@@ -1,0 +1,47 @@
+"""What a policy thinks, drawn where it is."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from dynahoi_lerobot.cli import main as cli
+from dynahoi_lerobot.cli.thoughts import SIGHTED, WIDTH_PX, drawn
+from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.renderers.views import COLORS
+from dynahoi_lerobot.rollout.loop import evaluate
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.world.batch import WorldBatch
+
+
+def place(mask: np.ndarray) -> np.ndarray:
+    """Mean row and column of a mask, in pixels of the enlarged image."""
+    return np.argwhere(cv2.resize(mask.astype(np.uint8), (WIDTH_PX, WIDTH_PX), interpolation=0)).mean(0)
+
+
+@pytest.mark.parametrize("camera", ["ego", "side"])
+def test_a_sighting_is_drawn_where_the_camera_shows_the_target(camera: str):
+    view = f"{camera}_segmentation"
+    batch = WorldBatch(recipe := Recipe(split="test", image_size=160, views=(view,)), 1)
+    episode = next(evaluate(batch, EXPERTS["intercept"](), sample_specs(recipe, [0]), images=True))
+    far = torch.full((1, 1, 3), -9.0)  # behind both cameras
+    rest = {"forecast": far, "ahead_s": torch.zeros(1), "meeting": far[0], "weights": None}
+    thoughts = [SimpleNamespace(sighted=torch.tensor(pose[None, None, :3]), **rest) for pose in episode.target_pose]
+    page = drawn(episode, thoughts, batch, view)[0, :WIDTH_PX]
+    target = place((episode.images[view][0] == COLORS["target"]).all(-1))
+    cross = place((page == SIGHTED).all(-1))
+    assert np.abs(cross - target).max() < 12, "most of a target is seen; the cross spans 22 pixels"
+
+
+def test_a_policy_s_thoughts_become_a_film(actor: Path, tmp_path: Path):
+    words = ["view", "--motion", "lob", "--image-size", "32", "--out", str(tmp_path / "lob.gif"), "--thoughts"]
+    assert cli.main([*words, "--policy", str(actor)]) == 0
+    with Image.open(tmp_path / "lob.gif") as film:
+        assert film.height > film.width > WIDTH_PX, "a strip of attention below"
+    assert cli.main(words) == 2, "the expert has no checkpoint"
+    assert cli.main(["view", "--dataset", "x", "--thoughts"]) == 2
