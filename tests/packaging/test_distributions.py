@@ -46,7 +46,7 @@ def versions(root: Path) -> set[str]:
     tables = [project(root / path.relative_to(ROOT)) for path in PROJECTS]
     pinned = [word for table in tables for word in table["dependencies"] if word.startswith(CORE)]
     assert pinned
-    return {table["version"] for table in tables} | {word.removeprefix(f"{CORE}==") for word in pinned}
+    return {table["version"] for table in tables} | {word.split("==")[1] for word in pinned}
 
 
 def test_versions_are_in_step() -> None:

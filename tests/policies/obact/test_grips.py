@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import torch
 from lerobot_policy_obact.frames import stepped
-from lerobot_policy_obact.recordings import NEVER
+from lerobot_policy_obact.recordings import GRIP_M, NEVER
 from lerobot_policy_obact.teacher import Grip, Targets
 
 from dynahoi_lerobot.core.agent import WorldState
@@ -26,7 +26,7 @@ def passing_targets(n: int) -> Targets:
 
 
 def grip(fps: float = 20.0) -> Grip:
-    return Grip(fps, 0.1, torch.zeros(15), torch.full((15,), 1.3))
+    return Grip(fps, 0.1, torch.zeros(15), torch.full((15,), 1.3), GRIP_M)
 
 
 def test_a_hand_that_follows_it_closes_where_it_has_the_target():
