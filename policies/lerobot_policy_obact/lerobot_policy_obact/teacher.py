@@ -38,7 +38,7 @@ class Targets(Record):
     carried: Tensor
     held: Tensor
 
-    def of(self, chosen: Tensor) -> Targets:
+    def of(self, chosen: Tensor | slice) -> Targets:
         """Return those of episodes ``(B,)``."""
         return self.map(lambda x: x[chosen])
 

@@ -342,7 +342,7 @@ def test_what_is_exported_acts_as_the_average_did(tmp_path: Path):
     assert (out / "train_config.json").read_text() == '{"steps": 2}'
 
 
-@pytest.mark.parametrize("name", ["obact_standard", "obact_two"])
+@pytest.mark.parametrize("name", ["obact_standard", "obact_two", "obact_contact"])
 def test_a_checkpoint_that_ships_acts(name: str):
     policy = ObActPolicy.from_pretrained(SHIPPED_POLICY.with_name(name))
     assert policy.select_action(step(policy)).isfinite().all()
