@@ -43,8 +43,7 @@ def catch() -> None:
 def contact() -> None:
     """Draw what ObAct grips and what it only touches, side by side."""
     recipe = Recipe(split="test", capture="contact", image_size=PLAYED_PX, views=("side",))
-    checkpoint = "outputs/obact_contact/checkpoints/last/pretrained_model"
-    episodes = played(checkpoint, recipe, [*HELD, TOUCHED], HELD_PX, noise=0)
+    episodes = played("checkpoints/obact_contact", recipe, [*HELD, TOUCHED], HELD_PX, noise=0)
     write_gif(IMAGES / "held.gif", side_by_side(episodes), fps=CONTROL_HZ / SKIP)
 
 
