@@ -219,6 +219,7 @@ def programs(page: Page) -> list[Block]:
     return [block for block in page.all_blocks if block.file or block.language in PROGRAMS]
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.parametrize("group", GROUPS)
 def test_every_program_and_command_runs(group: str, player: Player, tmp_path: Path, subtests: pytest.Subtests):

@@ -21,6 +21,7 @@ def test_outputs_are_not_committed(path: Path):
     assert cells
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @NOTEBOOK
 def test_every_cell_runs(path: Path, tmp_path: Path):

@@ -67,6 +67,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     os.chdir(before)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_recipes_that_no_page_trains_do_so_as_their_headers_say(workspace: Path, subtests: pytest.Subtests):
     generated, played_by_pages = set(), [words for page in pages() for words in page.commands]

@@ -66,6 +66,7 @@ def test_a_generated_episode_is_replayed_and_caught(lerobot, tmp_path: Path):
     assert row["success"]
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_recordings_merge_with_generated_datasets_and_can_be_trained_on(lerobot, tmp_path: Path):
     lerobot("record", *ROBOT, EXPERT, *recording("demos", episodes=2))
@@ -81,6 +82,7 @@ def test_recordings_merge_with_generated_datasets_and_can_be_trained_on(lerobot,
             "--policy.n_heads=2", "--policy.pretrained_backbone_weights=null", "--output_dir=out")  # fmt: skip
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_policy_is_rolled_out_episode_by_episode(lerobot, actor: Path, tmp_path: Path):
     lerobot("rollout", *ROBOT, *rollout(actor, "episodic"), *recording("rollout_it", episodes=2, seconds=4),
@@ -90,6 +92,7 @@ def test_a_policy_is_rolled_out_episode_by_episode(lerobot, actor: Path, tmp_pat
     assert len({row["seed"] for row in read_results(tmp_path / "r").rows}) == 2
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_policy_is_rolled_out_with_real_time_chunking(lerobot, actor: Path, tmp_path: Path):
     lerobot("rollout", *ROBOT, *rollout(actor, "episodic"), *recording("rollout_rtc", seconds=3), "--fps=20",
@@ -97,12 +100,14 @@ def test_a_policy_is_rolled_out_with_real_time_chunking(lerobot, actor: Path, tm
     assert LeRobotDataset("local/rollout_rtc", root=tmp_path / "rollout_rtc").num_frames > 0, "only actions count"
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_policy_is_rolled_out_and_nothing_recorded(lerobot, actor: Path, tmp_path: Path):
     lerobot("rollout", *ROBOT, *rollout(actor, "base"), f"--task={TASK}", "--duration=4", "--robot.results_dir=r")
     assert len(read_results(tmp_path / "r").rows) == 1, "the world waits for LeRobot to begin another episode"
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_the_expert_corrects_a_policy(lerobot, actor: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     class Keys(threading.Thread):
@@ -129,6 +134,7 @@ def test_the_expert_corrects_a_policy(lerobot, actor: Path, tmp_path: Path, monk
     assert all(corrections.hf_dataset["intervention"])
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_policy_server_moves_it(actor: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     port = "50917"

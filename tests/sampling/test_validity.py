@@ -59,6 +59,7 @@ EXPLAINED = 0.15
 of each (0.26 to 0.48 of 1,000 episodes)."""
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_regressor_without_images_is_no_better_than_a_fixed_path(tmp_path: Path):
     python(SCRIPT, "--train", 440, "--episodes", 220, "--json", "numbers.json", cwd=tmp_path)

@@ -93,6 +93,7 @@ def test_every_recipe_of_the_zoo_is_trained():
     assert {path.stem for path in RECIPES.iterdir()} == set(SMALL)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SMALL)
 @pytest.mark.usefixtures("tiny_gemma")

@@ -128,8 +128,9 @@ class PositionReadout(nn.Module):
         self.n_points = n_points
         self.query, self.key, self.bias = nn.Linear(dim, n_points * KEY_DIM), nn.Linear(dim, KEY_DIM), AgeBias(n_points)
         with torch.no_grad():  # each begins by looking at an age of its own
-            ages = torch.linspace(0, 24, n_points)
-            self.bias.table.copy_(-0.3 * (torch.arange(N_AGES) - ages[:, None]).abs())
+            table = self.bias.table
+            ages = torch.linspace(0, 24, n_points, device=table.device)
+            table.copy_(-0.3 * (torch.arange(N_AGES, device=table.device) - ages[:, None]).abs())
 
     def forward(
         self, tokens: Tensor, positions: Tensor, age_s: Tensor, rows: Tensor, memory: Memory
