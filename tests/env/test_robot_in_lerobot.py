@@ -50,7 +50,7 @@ def rollout(actor: Path, strategy: str) -> list[str]:
 
 def test_the_expert_teleoperates(lerobot, tmp_path: Path):
     lerobot(
-        "teleoperate", *ROBOT, EXPERT, "--robot.restart_s=0", "--robot.results_dir=r", "--fps=500", "--teleop_time_s=1"
+        "teleoperate", *ROBOT, EXPERT, "--robot.restart_s=0", "--robot.results_dir=r", "--fps=500", "--teleop_time_s=8"
     )
     rows = read_results(tmp_path / "r").rows
     assert len(rows) > 1
