@@ -216,6 +216,7 @@ def run_lerobot(command: str, arguments: list[str], log: Path, step: str, bar: t
         for line in process.stdout:
             file.write(line)
             bar.update(step in line)
+        bar.refresh()  # the last lines come in a burst, of which tqdm shows the first alone
     return process.returncode
 
 
