@@ -100,7 +100,7 @@ def processor() -> Iterator[Fact]:
 
 def cores() -> int:
     """Return the number of cores available to this process."""
-    return len(os.sched_getaffinity(0))
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def disk(folder: Path) -> Iterator[Fact]:

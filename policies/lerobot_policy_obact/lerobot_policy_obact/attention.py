@@ -68,8 +68,9 @@ class Memory:
         end = n + new.shape[dim]
         if end > buffer.shape[dim]:
             kept = buffer.narrow(dim, max(0, n - MEMORY_FRAMES), min(n, MEMORY_FRAMES))
-            n, end = kept.shape[dim], kept.shape[dim] + new.shape[dim]
-            buffer = torch.cat([kept, new, kept, new], dim)  # the second half is room to grow
+            filled, n = torch.cat([kept, new], dim), kept.shape[dim]
+            end = filled.shape[dim]
+            buffer = torch.cat([filled, torch.empty_like(filled)], dim)
         elif n:
             buffer.narrow(dim, n, end - n).copy_(new)
         self._kept[owner] = buffer, end

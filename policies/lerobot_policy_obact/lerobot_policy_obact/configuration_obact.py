@@ -14,8 +14,12 @@ from .heads import ActionHead, DiffusionHead, FlowHead
 
 MAX_SAMPLING = 100
 """Most steps, and most draws, of a head."""
-HEADS: dict[str, Callable[..., Any]] = {"diffusion": DiffusionHead, "flow": FlowHead}
-HEADS |= {"regression": ActionHead, "gr00t": Gr00tHead}
+HEADS: dict[str, Callable[..., Any]] = {
+    "diffusion": DiffusionHead,
+    "flow": FlowHead,
+    "regression": ActionHead,
+    "gr00t": Gr00tHead,
+}
 CONTACT = "contact"
 """The rule of capture under which targets must be gripped; under all others the palm has to come near enough."""
 WINDOW_FRAMES = 5

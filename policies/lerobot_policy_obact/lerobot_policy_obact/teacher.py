@@ -7,6 +7,7 @@ all of them. There is one for each rule of capture: `Meet` and `Grip`.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -74,14 +75,14 @@ class Answers:
 
 
 @dataclass(frozen=True)
-class Teacher:
+class Teacher(ABC):
     """A rule of capture, and what to do under it.
 
     Attributes:
         fps: frame rate [Hz].
         step_m: how far a palm gets in a frame [m].
         open_joints, closed_joints: of the hand [rad], ``(J,)``.
-        radius_m: of what `misses` returns, within which the target is caught [m].
+        radius_m: a target is caught where `misses` returns less [m].
     """
 
     fps: float
@@ -98,21 +99,21 @@ class Teacher:
         """How much farther than closed the joints are commanded [rad]."""
         return 0.0
 
+    @abstractmethod
     def answer(self, targets: Targets, due: Tensor, palms: Tensor, horizon: int) -> Answers:
         """Return what to do with palms ``(B, Q, M, 3)`` [m] in frames ``due`` ``(B, Q)``."""
-        raise NotImplementedError
 
+    @abstractmethod
     def caught(self, targets: Targets, frame: int, palm: Tensor, moved: Tensor, closed: Tensor) -> Tensor:
         """Return whether hands ``(B,)``, ``closed`` or not, catch their targets between ``frame`` and the next one, in
         which their palms are at ``palm`` and ``moved`` ``(B, 3)`` [m].
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def misses(self, offsets: Tensor) -> Tensor:
         """Return how far palms at ``offsets`` ``(B, R, 3)`` [m] from their targets are from catching, frame by frame,
         ``(B, R')`` [m], R' < R.
         """
-        raise NotImplementedError
 
     def joints(self, closing: Tensor) -> Tensor:
         """Return commands to the joints [rad], ``(..., J)``, of hands that should be closed by ``(...)``."""
@@ -180,7 +181,7 @@ class Meet(Teacher):
 
 
 STILL_FRAMES = 4
-"""While fingers close, the palm stays with the target."""
+"""Fingers take this long to close, and until then the palm must stay with the target."""
 
 
 class Grip(Teacher):
