@@ -365,9 +365,20 @@ class ObActPolicy(PreTrainedPolicy):
 
     @torch.no_grad()
     def observe(self, batch: Batch) -> None:
-        """Add a frame to the history without acting, for callers that ask for chunks now and then."""
+        """Add a frame to the history without acting, for callers that ask for chunks now and then.
+
+        Who asks faster than the robot's clock ticks, as LeRobot's real-time chunking does, gets to see a frame twice: it
+        counts once. And who asks some time after the tick sees a frame of that tick: the wall clock counts in ticks.
+        """
         self.eval()
-        self._note(batch, time.monotonic())
+        now_s = time.monotonic()
+        if self._frames and "timestamp" not in batch:
+            images = ((batch[key], self._images[key]) for key in self.config.cameras)
+            if all(torch.equal(new, old) for new, old in (*images, (self._state_of(batch), self._frames[-1].state[:, 0]))):
+                return
+            ticks = round((now_s - self._began_s) * self.config.rig.fps)
+            now_s = max(self._began_s + ticks / self.config.rig.fps, self._now_s + 1 / self.config.rig.fps)
+        self._note(batch, now_s)
 
     @torch.no_grad()
     def predict_action_chunk(
@@ -394,7 +405,9 @@ class ObActPolicy(PreTrainedPolicy):
         guidance = None
         if self.rtc_processor is not None and prev_chunk_left_over is not None:
             left = prev_chunk_left_over.reshape(len(self._frames[-1].state), -1, prev_chunk_left_over.shape[-1])
-            guidance = Guidance(self.rtc_processor, left, inference_delay or 0, execution_horizon)
+            n_left = int(left.any(-1).any(0).sum())  # LeRobot fills up with zeros, to which nothing may be guided
+            if n_left:
+                guidance = Guidance(self.rtc_processor, left[:, :n_left], inference_delay or 0, execution_horizon)
         return self._chunk(guidance)
 
     def _note(self, batch: Batch, time_s: float) -> None:
@@ -404,7 +417,7 @@ class ObActPolicy(PreTrainedPolicy):
             ValueError: if the number of environments changed since `reset`.
         """
         model, config = self.acting, self.config
-        state = torch.cat([batch[key] for key in config.state_keys], dim=-1)
+        state = self._state_of(batch)
         if self._frames and len(self._frames[-1].state) != len(state):
             raise ValueError(
                 f"the batch changed from {len(self._frames[-1].state)} to {len(state)} environments: call "
@@ -422,6 +435,9 @@ class ObActPolicy(PreTrainedPolicy):
         self._frames.append(Frames(sightings[:, None], state[:, None], state.new_tensor([time_s - self._began_s])))
         self._frame += 1
         self._outlook = self._history.see(model, self._frames[-1])
+
+    def _state_of(self, batch: Batch) -> Tensor:
+        return torch.cat([batch[key] for key in self.config.state_keys], dim=-1)
 
     def _chunk(self, guidance: Guidance | None = None) -> Tensor:
         """Return the chunk for the newest frame, ``(B, H, A)``."""

@@ -4,6 +4,7 @@ import json
 import pickle
 import sys
 from copy import deepcopy
+from itertools import chain, repeat
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,6 +18,7 @@ from lerobot.async_inference.policy_server import PolicyServer
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.datasets import LeRobotDataset
 from lerobot.policies import make_pre_post_processors
+from lerobot.policies.rtc import RTCConfig
 from lerobot.scripts.lerobot_train import main
 from lerobot_policy_obact import ObActConfig, ObActPolicy
 from lerobot_policy_obact.closed_loop import closed_loop_loss, rolled_rows
@@ -419,6 +421,31 @@ def test_frames_that_were_dropped_count_as_time_that_passed():
     policy.reset()
     by_the_clock = [policy.select_action(x | {"timestamp": x["timestamp"].double() + 1.7e9}) for x in seen]
     torch.testing.assert_close(torch.stack(by_the_clock), torch.stack(with_drops), atol=1e-4, rtol=0)
+
+
+def test_frames_are_ticks_of_the_robots_clock_however_often_and_late_a_caller_asks(monkeypatch):
+    policy = varied(n_obs_frames=None)
+    clock = chain([100.0, 100.02, 100.06, 100.09, 100.16], repeat(0.0))  # ticks 0, 0, 1, 2 and 3
+    monkeypatch.setattr("time.monotonic", lambda: next(clock))
+    hurried = [policy.predict_action_chunk(step(policy, seed=i)) for i in (0, 0, 1, 2, 3)]
+    policy.reset()
+    regular = [policy.predict_action_chunk(step(policy, seed=i) | {"timestamp": torch.tensor([0.05 * i])})
+               for i in range(4)]  # fmt: skip
+    torch.testing.assert_close(torch.stack(hurried[1:]), torch.stack(regular))
+
+
+def test_real_time_chunking_is_not_guided_to_the_zeros_that_lerobot_fills_up_with():
+    policy = varied(n_obs_frames=None, horizon=4, rtc_config=RTCConfig(enabled=True, execution_horizon=10))
+    left = torch.rand(2, 3, policy.config.n_actions)
+    filled = torch.nn.functional.pad(left, (0, 0, 0, 7))
+
+    def guided(left: torch.Tensor | None) -> torch.Tensor:
+        policy.reset()
+        return policy.predict_action_chunk(step(policy), inference_delay=1, prev_chunk_left_over=left)
+
+    torch.testing.assert_close(guided(filled), guided(left))
+    torch.testing.assert_close(guided(torch.zeros_like(left)), guided(None))
+    assert not torch.allclose(guided(left), guided(None))
 
 
 def test_a_decision_tells_what_it_saw_expects_and_attends_to():
