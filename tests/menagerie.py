@@ -4,22 +4,26 @@ from pathlib import Path
 
 import mujoco_menagerie
 
+from dynahoi_lerobot.hands import HANDS
+from dynahoi_lerobot.hands.robot import RobotHand
+
 DAMPING, ARMATURE, TORQUE_NM = 0.05, 0.0002, 1.0
 SHARPA_FINGERS = {"index": -0.03, "middle": -0.01, "ring": 0.01, "pinky": 0.03}
 SHADOW_FINGERS = {"FF": (-0.033, 0.095), "MF": (-0.011, 0.099), "RF": (0.011, 0.095), "LF": (0.033, 0.087)}
 
 
 def gather_menagerie(root: Path) -> Path:
-    """Fill ``root`` with each hand's model, the real one where this machine has it, and return ``root``."""
-    cache = mujoco_menagerie.Cache()
-    for name, write in {"sharpa_wave": sharpa, "shadow_hand": shadow}.items():
+    """Fill ``root`` with each table's model, the real one where this machine has it, and return ``root``."""
+    cache, stand_ins = mujoco_menagerie.Cache(), {"sharpa_wave": sharpa, "shadow_hand": shadow}
+    entries = {hand.model: hand.entry for _, hand in HANDS.items() if isinstance(hand, RobotHand)}
+    for name, entry in entries.items():
         robot = mujoco_menagerie.get(name)
         real = cache.root / name if cache.root else cache.model_path(robot)
-        if (real / "left_hand.xml").is_file():
+        if (real / f"{entry}.xml").is_file():
             (root / name).symlink_to(real.resolve())
-        else:
+        elif name in stand_ins:
             (root / name).mkdir()
-            (root / name / "left_hand.xml").write_text(write())
+            (root / name / f"{entry}.xml").write_text(stand_ins[name]())
     return root
 
 

@@ -1,5 +1,6 @@
 """Robot hands from MuJoCo Menagerie stand where the bundled ones stand, and catch what they catch."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -141,6 +142,34 @@ def test_a_hand_with_four_fingers_is_refused_by_name() -> None:
     fingers = {finger: ROBOTS["shadow"].fingers[finger] for finger in FINGERS if finger != "little"}
     with pytest.raises(ValueError, match=r"'leap_hand' has the fingers thumb, index, middle, ring and no little"):
         RobotHand("Four fingers.", "leap_hand", "left_hand", "palm", (0, 0, 0), (1, 0, 0, 0), fingers)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"little": ("lh_RFJ3", "lh_RFJ2", "lh_RFJ1")}, "every finger needs three joints that no other finger has"),
+        ({"little": ("lh_LFJ3", "lh_LFJ2")}, "'shadow_hand' has the joints lh_LFJ3, lh_LFJ2, but"),
+    ],
+)
+def test_a_finger_without_three_joints_of_its_own_is_refused(
+    change: dict[str, tuple[str, str, str]], said: str
+) -> None:
+    hand = ROBOTS["shadow"]
+    changed = {finger: replace(hand.fingers[finger], joints=joints) for finger, joints in change.items()}
+    with pytest.raises(ValueError, match=said):
+        replace(hand, fingers={**hand.fingers, **changed})
+
+
+def test_a_palm_or_tip_that_the_model_lacks_is_refused_by_name() -> None:
+    hand = ROBOTS["shadow"]
+    thumb = replace(hand.fingers["thumb"], tip="lh_pad")
+    for wrong, said in (
+        (replace(hand, palm="palm"), "unknown body of shadow_hand 'palm'"),
+        (replace(hand, fingers={**hand.fingers, "thumb": thumb}), "unknown site of shadow_hand 'lh_pad'"),
+        (replace(hand, model="my_model"), "'my_model': Unknown robot 'my_model'.*`mujoco-menagerie names` lists"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            wrong.add_to(mujoco.MjSpec())
 
 
 def test_tests_take_each_real_model_where_there_is_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

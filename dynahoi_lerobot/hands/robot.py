@@ -59,12 +59,20 @@ class RobotHand(Hand):
     rest_rad: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Raise a ValueError if the table lacks a finger."""
+        """Raise a ValueError if the table lacks a finger, or a finger does not have three joints of its own."""
         if missing := [finger for finger in FINGERS if finger not in self.fingers]:
             raise ValueError(
                 f"the hand {self.model!r} has the fingers {', '.join(self.fingers)} and no {' or '.join(missing)}, but "
                 f"observations and actions have three joints for each of {', '.join(FINGERS)}"
             )
+        joints = {name: self.fingers[name].joints for name in FINGERS}
+        for name, three in joints.items():
+            others = {joint for other in FINGERS if other != name for joint in joints[other]}
+            if len(set(three) - others) != 3 or len(three) != 3:
+                raise ValueError(
+                    f"the {name} of the hand {self.model!r} has the joints {', '.join(three)}, but every finger needs "
+                    "three joints that no other finger has"
+                )
 
     @property
     def full_closure_rad(self) -> Mapping[str, tuple[float, float, float]]:
@@ -75,13 +83,15 @@ class RobotHand(Hand):
         """Add palm, fingers, servos, sites and the ego camera to ``spec``.
 
         Raises:
-            ValueError: if the model cannot be had, or lacks a joint of the table; the message says what to do.
+            ValueError: if the model cannot be had, or lacks a joint, the palm or a tip of the table; the message says
+                what to do.
         """
         robot = _load(self.model, self.entry)
         names = dict(zip((joint for name in FINGERS for joint in self.fingers[name].joints), JOINT_NAMES, strict=True))
         joints = {joint.name: joint for joint in robot.joints}
         for name in dict.fromkeys((*names, *self.rest_rad)):
             _turn(known(f"joint of {self.model}", name, joints), self.rest_rad.get(name, 0.0))
+        self._check_parts(robot)
         motors = {joint: _motor(robot, joint) for joint in names}
         frame = _reduce(robot, self.palm, names)
         frame.pos, frame.quat = self.palm_pos_m, self.palm_quat
@@ -115,6 +125,13 @@ class RobotHand(Hand):
             else:
                 last.add_site(name=f"{name}_tip", pos=tip, quat=base.quat_z_to(np.array(tip)))
 
+    def _check_parts(self, robot: mujoco.MjSpec) -> None:
+        """Raise an UnknownNameError if the model lacks the palm or a tip."""
+        known(f"body of {self.model}", self.palm, {body.name: body for body in robot.bodies})
+        for tip in (self.fingers[name].tip for name in FINGERS):
+            if isinstance(tip, str):
+                known(f"site of {self.model}", tip, {site.name: site for site in robot.sites})
+
 
 def _load(model: str, entry: str) -> mujoco.MjSpec:
     try:
@@ -125,6 +142,11 @@ def _load(model: str, entry: str) -> mujoco.MjSpec:
         ) from error
     try:
         return mujoco_menagerie.get(model).spec(entry)
+    except mujoco_menagerie.UnknownRobotError as error:
+        raise ValueError(
+            f"cannot get the hand {model!r}: {error} RobotHand mounts models that `mujoco-menagerie names` lists; any "
+            "other is a Hand"
+        ) from error
     except mujoco_menagerie.MenagerieError as error:
         raise ValueError(
             f"cannot get the hand {model!r}: {error}; connect to the network once to download it, or let "
