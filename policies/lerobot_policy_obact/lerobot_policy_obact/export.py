@@ -17,11 +17,13 @@ def export(checkpoint: Path, out: Path) -> None:
     In its ``config.json`` ``ema_decay`` is 0, since there is nothing left to average; ``train_config.json`` has what it
     was trained with.
     """
-    policy = ObActPolicy.from_pretrained(checkpoint)
+    policy = ObActPolicy.from_pretrained(checkpoint).to("cpu")
+    policy.config.device = "cpu"  # where every machine can load it, which that of the training need not be
     policy.keep_average()
     policy.config.pretrained_path = None  # a place on this machine
     policy.save_pretrained(out)
-    for processor in make_pre_post_processors(policy.config, pretrained_path=str(checkpoint)):
+    on_cpu = {"preprocessor_overrides": {"device_processor": {"device": "cpu"}}}
+    for processor in make_pre_post_processors(policy.config, pretrained_path=str(checkpoint), **on_cpu):
         processor.save_pretrained(out)
     training = checkpoint / "train_config.json"
     if training.is_file():
