@@ -1,5 +1,10 @@
 """The documentation: ``uv run --group docs sphinx-build docs docs/_build``; ``-b linkcheck`` checks the links."""
 
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+from sphinx.util.rst import escape
+
 import dynahoi_lerobot
 
 project = "dynahoi-lerobot"
@@ -25,3 +30,16 @@ nb_execution_raise_on_error = True
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented"
+
+
+def setup(app: Any) -> None:
+    """Document the options of a dataclass before napoleon reads its docstring."""
+    app.connect("autodoc-process-docstring", _document_options, priority=400)
+
+
+def _document_options(_app: Any, what: str, _name: str, item: Any, *others: Any) -> None:
+    lines, entries = others[-1], fields(item) if what == "class" and is_dataclass(item) else ()
+    if told := [
+        f"    {entry.name}: {escape(entry.metadata['help'])}." for entry in entries if "help" in entry.metadata
+    ]:
+        lines += ["Attributes:", *told, ""]

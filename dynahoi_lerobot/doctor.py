@@ -1,6 +1,5 @@
 """``dynahoi doctor``: check every part of this machine, and whether it reproduces our episodes."""
 
-import argparse
 import hashlib
 import importlib
 import importlib.util
@@ -20,7 +19,7 @@ from typing import Any
 import numpy as np
 from packaging.requirements import Requirement
 
-from dynahoi_lerobot.core.arguments import path
+from dynahoi_lerobot.core.arguments import option
 from dynahoi_lerobot.core.conventions import EGO_VIEW, HAND_DOF, PALM_DOF
 from dynahoi_lerobot.core.files import check_output
 from dynahoi_lerobot.core.registry import GROUP, import_plugin
@@ -49,24 +48,24 @@ class Fact:
         return f"{self.name:<24} {mark}{self.found}{follows}"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of ``dynahoi doctor``."""
-    parser.add_argument("--folder", type=path, default=Path(), help="output folder on the disk to check")
-    parser.add_argument(
-        "--reference", action="store_true", help="also run 44 episodes and compare them bit by bit with the reference"
-    )
-    parser.add_argument("--json", type=path, help="also write the findings to this file")
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Of ``dynahoi doctor``."""
+
+    folder: Path = option(Path(), "output folder on the disk to check")
+    reference: bool = option(False, "also run 44 episodes and compare them bit by bit with the reference")
+    json: Path | None = option(None, "also write the findings to this file")
 
 
-def run(args: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Print the findings; return the exit code: 0 without problems, 1 with problems."""
-    check_output(args.folder)
+    check_output(options.folder)
     facts = []
-    for fact in chain(examine(args.folder), compare(play(EPISODES), read_reference()) if args.reference else ()):
+    for fact in chain(examine(options.folder), compare(play(EPISODES), read_reference()) if options.reference else ()):
         print(fact, flush=True)
         facts.append(fact)
-    if args.json:
-        args.json.write_text(json.dumps([asdict(fact) for fact in facts], indent=2) + "\n", encoding="utf-8")
+    if options.json:
+        options.json.write_text(json.dumps([asdict(fact) for fact in facts], indent=2) + "\n", encoding="utf-8")
     problems = [fact.name for fact in facts if fact.problem]
     print(f"problems: {', '.join(problems)}" if problems else "no problems")
     return 1 if problems else 0

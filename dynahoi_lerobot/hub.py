@@ -6,7 +6,6 @@ sends only what the Hub lacks.
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import re
 import secrets
@@ -20,13 +19,13 @@ from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 
-from dynahoi_lerobot.core.arguments import CommandError, path
+from dynahoi_lerobot.core.arguments import CommandError, argument, option
 from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.core.reading import GIB, read_object, reading, regular
 from dynahoi_lerobot.dataset.card import markdown_template
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import CARD_PATH, CODEBASE_VERSION, INFO_PATH, MANIFEST_PATH
-from dynahoi_lerobot.evaluate.arguments import add_trust_argument
+from dynahoi_lerobot.evaluate.arguments import TRUST
 from dynahoi_lerobot.evaluate.checkpoint import (
     CONFIG,
     PLUGINS,
@@ -55,7 +54,7 @@ RESULTS = "results"
 IGNORED = [".cache/**", "training_state/**", "**/__pycache__/**", "__pycache__/**"]
 NAME_LENGTH = 120
 """Characters of the longest name of a result folder; a longer one is cut and ends with digits of a hash."""
-OPTIONS = {"policy": "results", "full": "results", "replace": "checkpoint", "trust": "checkpoint"}
+KIND_OPTIONS = {"policy": "results", "full": "results", "replace": "checkpoint", "trust": "checkpoint"}
 """Options that are for a push of one kind."""
 REPLAYED = 8
 """Episodes of results that are replayed before they are pushed."""
@@ -75,38 +74,36 @@ ANSWERS = {
 """By HTTP status."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of ``dynahoi push``."""
-    parser.add_argument("folder", type=path, help="a dataset, a pretrained_model folder, a result folder or envs/hub")
-    parser.add_argument("repo", help="USER/NAME on the Hub; for results, the repository of their checkpoint")
-    parser.add_argument("--private", action="store_true", help="create a private repository")
-    parser.add_argument(
-        "--replace", action="store_true", help="checkpoints only: overwrite different weights and delete their results"
-    )
-    parser.add_argument("--policy", help="results only: name of the evaluated policy, if it differed")
-    parser.add_argument(
-        "--full", action="store_true", help=f"results only: replay all episodes, not {REPLAYED} of them"
-    )
-    add_trust_argument(parser)
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Of ``dynahoi push``."""
+
+    folder: Path = argument("a dataset, a pretrained_model folder, a result folder or envs/hub")
+    repo: str = argument("USER/NAME on the Hub; for results, the repository of their checkpoint")
+    private: bool = option(False, "create a private repository")
+    replace: bool = option(False, "checkpoints only: overwrite different weights and delete their results")
+    policy: str | None = option(None, "results only: name of the evaluated policy, if it differed")
+    full: bool = option(False, f"results only: replay all episodes, not {REPLAYED} of them")
+    trust: bool = option(False, TRUST)
 
 
-def run(args: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Push the folder and print its address; return the exit code."""
-    kind = kind_of(args.folder)
-    for option, wanted in OPTIONS.items():
-        if getattr(args, option) and kind != wanted:
-            raise ValueError(f"--{option} is for a push of {wanted}; {args.folder} holds this: {kind}")
-    for entry in args.folder.rglob("*"):
+    kind = kind_of(options.folder)
+    for name, wanted in KIND_OPTIONS.items():
+        if getattr(options, name) and kind != wanted:
+            raise ValueError(f"--{name} is for a push of {wanted}; {options.folder} holds this: {kind}")
+    for entry in options.folder.rglob("*"):
         if entry.is_symlink():
             raise ValueError(f"{entry} is a link, and what it leads to is not uploaded; put a copy in its place")
         if not entry.is_dir():
             regular(entry, LARGEST_FILE)
     try:
-        pushed = PUSHES[kind](args, Repository.open(args.repo, "dataset" if kind == "dataset" else "model"))
+        pushed = PUSHES[kind](options, Repository.open(options.repo, "dataset" if kind == "dataset" else "model"))
     except (CommandError, ValueError, ModuleNotFoundError):
         raise
     except Exception as error:  # whatever goes wrong on the Hub or on the way to it
-        raise CommandError(f"{args.repo}: {_sentence(error)}") from error
+        raise CommandError(f"{options.repo}: {_sentence(error)}") from error
     print(f"{kind} pushed to {pushed}")
     return 0
 
@@ -196,17 +193,17 @@ class Repository:
         self.api.create_tag(self.name, tag=tag, repo_type=self.kind)
 
 
-def push_dataset(args: argparse.Namespace, repository: Repository) -> str:
+def push_dataset(options: Options, repository: Repository) -> str:
     """Push a dataset that verifies, tagged with LeRobot's version, which its reader asks for, and the benchmark's."""
-    if findings := verify(args.folder):
+    if findings := verify(options.folder):
         print(*findings, sep="\n", file=sys.stderr)
-        raise CommandError(f"{args.folder} was not pushed: `dynahoi verify` has findings")
-    manifest = Manifest.read(args.folder)
-    if MANIFEST_PATH in repository.claim(args.folder, private=args.private):
+        raise CommandError(f"{options.folder} was not pushed: `dynahoi verify` has findings")
+    manifest = Manifest.read(options.folder)
+    if MANIFEST_PATH in repository.claim(options.folder, private=options.private):
         there = repository.api.hf_hub_download(repository.name, MANIFEST_PATH, repo_type=repository.kind)
         if read_object(Path(there)).get("sha256") != manifest.digest:
             raise CommandError(f"{repository.name} holds another dataset; choose another name")
-    repository.upload(args.folder)
+    repository.upload(options.folder)
     versions = manifest.benchmark.split(", ")
     tags = [CODEBASE_VERSION, *(f"dynahoi-{version}" for version in versions if version)]
     for tag in tags:
@@ -214,19 +211,19 @@ def push_dataset(args: argparse.Namespace, repository: Repository) -> str:
     return f"{repository.address}, tagged {', '.join(tags)}"
 
 
-def push_checkpoint(args: argparse.Namespace, repository: Repository) -> str:
+def push_checkpoint(options: Options, repository: Repository) -> str:
     """Push a checkpoint, with a card if it has none; over other weights only with ``--replace``.
 
     Raises:
         PolicyError: if our loader refuses it.
     """
-    folder = args.folder
-    load_policy(checked_folder(str(folder), trust=args.trust), "cpu", trust=args.trust)
+    folder = options.folder
+    load_policy(checked_folder(str(folder), trust=options.trust), "cpu", trust=options.trust)
     card = checkpoint_card(folder, repository.name)
-    held = repository.claim(folder, private=args.private)
+    held = repository.claim(folder, private=options.private)
     there = repository.weights()
     other = [name for name, sha256 in folder_weights(folder).items() if there.get(name, sha256) != sha256]
-    if other and not args.replace:
+    if other and not options.replace:
         raise CommandError(
             f"{repository.name} holds other weights ({other[0]}); choose another name, or add --replace, which "
             "also removes the results of the old ones"
@@ -237,7 +234,7 @@ def push_checkpoint(args: argparse.Namespace, repository: Repository) -> str:
     return repository.address
 
 
-def push_results(args: argparse.Namespace, repository: Repository) -> str:
+def push_results(options: Options, repository: Repository) -> str:
     """Push results into the repository of their checkpoint, under a name of their own, and list them on its card.
 
     Raises:
@@ -246,15 +243,15 @@ def push_results(args: argparse.Namespace, repository: Repository) -> str:
     """
     from huggingface_hub import ModelCard
 
-    results = read_results(args.folder)
+    results = read_results(options.folder)
     name, played = variant(results), [METRICS_FILE, EPISODES_FILE, ACTIONS_FILE]
     api = repository.api
     held = api.list_repo_files(repository.name) if api.repo_exists(repository.name) else []
     if CONFIG not in held:
         raise CommandError(f"{repository.name} holds no checkpoint; push it before its results")
-    _check_policy(results, repository, args.policy or "")
-    doubt = _replayed(results, None if args.full else REPLAYED)
-    repository.upload(args.folder, path_in_repo=f"{RESULTS}/{name}", allow_patterns=played)
+    _check_policy(results, repository, options.policy or "")
+    doubt = _replayed(results, None if options.full else REPLAYED)
+    repository.upload(options.folder, path_in_repo=f"{RESULTS}/{name}", allow_patterns=played)
     if CARD_PATH in held or doubt:
         there = api.hf_hub_download(repository.name, CARD_PATH) if CARD_PATH in held else None
         card = ModelCard.load(there, ignore_metadata_errors=True) if there else ModelCard("---\n---\n")
@@ -286,14 +283,14 @@ def _with_doubt(text: str, name: str, doubt: str) -> str:
     return f"{mark} {doubt}.\n\n{rest}\n" if doubt else f"{rest}\n"
 
 
-def push_environment(args: argparse.Namespace, repository: Repository) -> str:
+def push_environment(options: Options, repository: Repository) -> str:
     """Push an environment of LeRobot's EnvHub, which lies in a repository like a checkpoint's."""
-    repository.claim(args.folder, private=args.private)
-    repository.upload(args.folder)
+    repository.claim(options.folder, private=options.private)
+    repository.upload(options.folder)
     return repository.address
 
 
-PUSHES: dict[str, Callable[[argparse.Namespace, Repository], str]] = {
+PUSHES: dict[str, Callable[[Options, Repository], str]] = {
     "dataset": push_dataset, "checkpoint": push_checkpoint, "results": push_results, "environment": push_environment,
 }  # fmt: skip
 

@@ -1,12 +1,13 @@
 """``dynahoi list``: the registries as tables, generated from the code."""
 
-import argparse
 import inspect
 import json
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from dynahoi_lerobot.captures import CAPTURES
+from dynahoi_lerobot.core.arguments import argument, option
 from dynahoi_lerobot.core.features import FEATURES, Feature, image_feature
 from dynahoi_lerobot.core.registry import Registry
 from dynahoi_lerobot.experts import EXPERTS
@@ -87,16 +88,18 @@ LISTS: dict[str, Callable[[], list[Row]]] = {
 }
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of ``dynahoi list``."""
-    parser.add_argument("what", choices=sorted(LISTS), help="registry to print")
-    parser.add_argument("--json", action="store_true", help="print JSON")
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Of ``dynahoi list``."""
+
+    what: str = argument("registry to print", choices=sorted(LISTS))
+    json: bool = option(False, "print JSON")
 
 
-def run(args: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Print a registry; return the exit code."""
-    rows = LISTS[args.what]()
-    print(json.dumps(rows, indent=2) if args.json else markdown_table(rows))
+    rows = LISTS[options.what]()
+    print(json.dumps(rows, indent=2) if options.json else markdown_table(rows))
     return 0
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NoReturn, TextIO, cast
 
 from dynahoi_lerobot import __version__
-from dynahoi_lerobot.core.arguments import CommandError
+from dynahoi_lerobot.core.arguments import CommandError, add_options, read_options
 from dynahoi_lerobot.core.escaping import Terminal
 from dynahoi_lerobot.core.files import check_output
 
@@ -31,8 +31,9 @@ COMMANDS = {
 }
 """Command: module, imported on use, and one line of help.
 
-Its ``add_arguments`` declares arguments; its ``run`` returns the exit code, or raises what ``exit_code`` puts into a
-sentence: ValueError, FileExistsError and FileNotFoundError for bad input, CommandError and OSError for a failure.
+Its dataclass ``Options`` describes the command line; its ``run`` takes one and returns the exit code, or raises what
+``exit_code`` puts into a sentence: ValueError, FileExistsError and FileNotFoundError for bad input, CommandError and
+OSError for a failure.
 """
 
 FAILED, BAD_INPUT, STOPPED = 1, 2, 130
@@ -67,16 +68,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     for name, (module, text) in COMMANDS.items():
         command = commands.add_parser(name, help=text, description=text)
         if words[:1] == [name]:
-            importlib.import_module(module).add_arguments(command)
+            add_options(command, importlib.import_module(module).Options)
     spoken = " ".join(["dynahoi", *(word for word in words[:1] if word in COMMANDS)])
 
     with suppress(ValueError):  # outside the main thread
         signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # removes what is half made
 
     def run() -> int:
-        args = parser.parse_args(words)
-        _check_outputs(args)
-        return importlib.import_module(COMMANDS[args.command][0]).run(args)
+        given = vars(parser.parse_args(words))
+        command = importlib.import_module(COMMANDS[given["command"]][0])
+        options = read_options(command.Options, given)
+        _check_outputs(options)
+        return command.run(options)
 
     return exit_code(spoken, run)
 
@@ -112,9 +115,9 @@ def _sentence(error: Exception) -> str:
     return sentence if len(sentence) <= LONGEST else f"{sentence[: LONGEST // 2]} ... {sentence[-LONGEST // 2 :]}"
 
 
-def _check_outputs(args: argparse.Namespace) -> None:
+def _check_outputs(options: object) -> None:
     """Refuse an unwritable ``--out`` or ``--json`` before any work starts."""
-    path, out = getattr(args, "json", None), getattr(args, "out", None)
+    path, out = getattr(options, "json", None), getattr(options, "out", None)
     if isinstance(path, Path) and (path.is_dir() or not path.parent.is_dir()):
         raise ValueError(f"--json must name a file in an existing folder, got {path}")
     for place in (path, out):

@@ -5,7 +5,6 @@ evaluated beside the training, which leaves a core idle. A stage is skipped if i
 quickstart resumes.
 """
 
-import argparse
 import importlib.util
 import os
 import shutil
@@ -23,7 +22,7 @@ from typing import Any
 from tqdm import tqdm
 
 from dynahoi_lerobot.cli import main as cli
-from dynahoi_lerobot.core.arguments import CommandError, path, whole
+from dynahoi_lerobot.core.arguments import CommandError, option, whole
 from dynahoi_lerobot.core.working_folder import working_folder
 from dynahoi_lerobot.dataset.paths import check_root
 from dynahoi_lerobot.doctor import cores
@@ -69,34 +68,31 @@ class Size:
 TINY = Size(episodes=2, steps=LOG_STEPS, per_kind=1, kinds=2)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of ``dynahoi quickstart``."""
-    parser.add_argument("--out", type=path, default=Path("outputs/quickstart"), help="output folder")
-    parser.add_argument("--episodes", type=whole(1, 10**6), default=Size.episodes, help="dataset episodes")
-    parser.add_argument("--steps", type=whole(1, 10**6), default=Size.steps, help="training steps")
-    parser.add_argument(
-        "--evaluation-episodes",
-        type=whole(1, 1000),
-        default=Size.per_kind,
-        help="evaluation episodes per kind of motion",
-    )
-    parser.add_argument("--tiny", action="store_true", help="smoke test with meaningless scores")
-    parser.add_argument("--open", action="store_true", help="open the report in the browser when done")
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Of ``dynahoi quickstart``."""
+
+    out: Path = option(Path("outputs/quickstart"), "output folder")
+    episodes: int = option(Size.episodes, "dataset episodes", whole(1, 10**6))
+    steps: int = option(Size.steps, "training steps", whole(1, 10**6))
+    evaluation_episodes: int = option(Size.per_kind, "evaluation episodes per kind of motion", whole(1, 1000))
+    tiny: bool = option(False, "smoke test with meaningless scores")
+    open: bool = option(False, "open the report in the browser when done")
 
 
-def run(args: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Run the remaining stages; return the exit code."""
     if missing := [name for name in NEEDS if importlib.util.find_spec(name) is None]:
         raise ValueError(
             f"training needs {', '.join(missing)}: pip install '.[lerobot]' ./envs/lerobot_env_dynahoi "
             "./policies/lerobot_policy_obact, in a checkout"
         )
-    check_root(out := args.out.resolve())
-    size = TINY if args.tiny else Size(args.episodes, args.steps, args.evaluation_episodes)
+    check_root(out := options.out.resolve())
+    size = TINY if options.tiny else Size(options.episodes, options.steps, options.evaluation_episodes)
     start = time.monotonic()
     with working_folder(out, {"quickstart": asdict(size)}):
         _run_stages(out, size)
-    _conclude(out, start, show=args.open)
+    _conclude(out, start, show=options.open)
     return 0
 
 

@@ -3,7 +3,6 @@
 With ``--sample`` a page of several episodes of a dataset.
 """
 
-import argparse
 import base64
 import html
 from dataclasses import dataclass, replace
@@ -15,7 +14,7 @@ import numpy as np
 
 from dynahoi_lerobot.cli.sample_page import column, read_episode, write_sample
 from dynahoi_lerobot.cli.thoughts import ThinkingAgent, drawn
-from dynahoi_lerobot.core.arguments import add_field_arguments, given_fields, path, whole
+from dynahoi_lerobot.core.arguments import given_of, option, whole
 from dynahoi_lerobot.core.conventions import CONTROL_HZ, DEFAULT_IMAGE_SIZE_PX, SEED_LIMIT
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import IMAGE_PREFIX
@@ -23,7 +22,7 @@ from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.core.reading import reading
 from dynahoi_lerobot.core.rules import is_acting
 from dynahoi_lerobot.dataset.store import open_dataset
-from dynahoi_lerobot.evaluate.arguments import TRAINED_FOR, add_trust_argument, make_actor, playing_rules
+from dynahoi_lerobot.evaluate.arguments import TRAINED_FOR, TRUST, make_actor, playing_rules
 from dynahoi_lerobot.evaluate.gif import encode_gif, frame_phases, phases_of
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.renderers.views import VIEWS
@@ -33,9 +32,6 @@ from dynahoi_lerobot.sampling.recipe import PLAYING, Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.splits import kind_seeds
 from dynahoi_lerobot.world.batch import WorldBatch
-
-RECIPE_OPTIONS = tuple(name for name in PLAYING if name not in ("split", "views", "motions", "environment_state"))
-"""Fields of the recipe that are options of the command, with ``--motion``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,117 +51,119 @@ class Clip:
     fps: float = CONTROL_HZ
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of ``dynahoi view``."""
-    parser.add_argument("--motion", help="render a new episode of this motion")
-    parser.add_argument("--dataset", type=path, help="render an episode of this dataset")
-    parser.add_argument("--results", type=path, help="replay and render an episode of this result folder")
-    parser.add_argument("--episode", type=int, default=0, help="with --dataset: episode index")
-    parser.add_argument(
-        "--sample",
-        type=whole(1, 100),
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Of ``dynahoi view``."""
+
+    motion: str | None = option(None, "render a new episode of this motion")
+    dataset: Path | None = option(None, "render an episode of this dataset")
+    results: Path | None = option(None, "replay and render an episode of this result folder")
+    episode: int = option(0, "with --dataset: episode index")
+    sample: int | None = option(
+        None,
+        "with --dataset: a page with N episodes of each motion, to inspect frames, actions and target",
+        whole(1, 100),
         metavar="N",
-        help="with --dataset: a page with N episodes of each motion, to inspect frames, actions and target",
     )
-    parser.add_argument(
-        "--seed",
-        type=whole(0, SEED_LIMIT - 1),
-        default=0,
-        help="with --motion: episode number within split and motion; with --results: episode seed",
+    seed: int = option(
+        0,
+        "with --motion: episode number within split and motion; with --results: episode seed",
+        whole(0, SEED_LIMIT - 1),
     )
-    parser.add_argument(
-        "--split", default="test", help="with --motion: train, val, test, twins or one of the ood_ splits"
+    split: str = option("test", "with --motion: train, val, test, twins or one of the ood_ splits")
+    policy: str = option("expert", "with --motion: a checkpoint or a baseline")
+    thoughts: bool = option(
+        False, "with --motion and a checkpoint of ObAct as --policy: draw what it sees, expects and attends to"
     )
-    parser.add_argument("--policy", default="expert", help="with --motion: a checkpoint or a baseline")
-    parser.add_argument(
-        "--thoughts",
-        action="store_true",
-        help="with --motion and a checkpoint of ObAct as --policy: draw what it sees, expects and attends to",
+    trust: bool = option(False, TRUST)
+    rules: dict[str, Any] = given_of(
+        Recipe, {*PLAYING} - {"split", "views", "motions", "environment_state"}, **TRAINED_FOR
     )
-    add_trust_argument(parser)
-    add_field_arguments(parser, Recipe, RECIPE_OPTIONS, **TRAINED_FOR)
-    parser.add_argument("--view", default="ego", choices=VIEWS, help="camera and modality")
-    parser.add_argument("--out", type=path, default=Path("episode.gif"), help="output file: .gif, .mp4 or .html")
+    view: str = option("ego", "camera and modality", choices=VIEWS)
+    out: Path = option(Path("episode.gif"), "output file: .gif, .mp4 or .html")
 
 
-def run(args: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Write the clip; return the exit code."""
-    if (suffix := args.out.suffix) not in WRITERS:
+    if (suffix := options.out.suffix) not in WRITERS:
         raise ValueError(f"cannot write {suffix or 'a file without suffix'!r}; use {', '.join(WRITERS)}")
-    if args.sample is not None:
-        return _sample(args)
+    if options.sample is not None:
+        return _sample(options.sample, options)
     sources = {"motion": _played, "dataset": _from_dataset, "results": _replayed}
-    chosen = [make_clip for name, make_clip in sources.items() if getattr(args, name) is not None]
-    if args.thoughts and args.motion is None:
+    chosen = [(make, source) for name, make in sources.items() if (source := getattr(options, name)) is not None]
+    if options.thoughts and options.motion is None:
         raise ValueError(
             "--thoughts draws what a policy thinks while it plays: give --motion MOTION --policy CHECKPOINT"
         )
     if len(chosen) != 1:
         raise ValueError("choose one of --motion MOTION, --dataset DIR --episode I, --results DIR --seed S")
-    clip = chosen[0](args)
-    write_clip(args.out, clip)
-    print(f"{clip.caption}: {args.out}")
+    ((make_clip, source),) = chosen
+    clip = make_clip(source, options)
+    write_clip(options.out, clip)
+    print(f"{clip.caption}: {options.out}")
     return 0
 
 
-def _sample(args: argparse.Namespace) -> int:
+def _sample(per_kind: int, options: Options) -> int:
     """Write the page of a sample; return the exit code."""
-    if args.dataset is None or args.motion is not None or args.results is not None:
+    if options.dataset is None or options.motion is not None or options.results is not None:
         raise ValueError("--sample takes its episodes from --dataset DIR")
-    if args.out.suffix != ".html":
-        raise ValueError(f"--sample writes a web page, so --out must end in .html, got {args.out}")
-    dataset = open_dataset(args.dataset)
+    if options.out.suffix != ".html":
+        raise ValueError(f"--sample writes a web page, so --out must end in .html, got {options.out}")
+    dataset = open_dataset(options.dataset)
     if dataset.meta.episodes is None or "motion" not in dataset.meta.episodes.column_names:
         raise ValueError(
-            f"{args.dataset} does not name the motions of its episodes, so there is nothing to stratify by"
+            f"{options.dataset} does not name the motions of its episodes, so there is nothing to stratify by"
         )
-    key = _camera_key(args, dataset)
-    with reading(args.dataset):
-        shown = write_sample(args.out, dataset, key, args.sample)
-    print(f"{shown} episodes of {args.dataset}: {args.out}; mark some, and it prints the command that removes them")
+    key = _camera_key(options, dataset)
+    with reading(options.dataset):
+        shown = write_sample(options.out, dataset, key, per_kind)
+    print(
+        f"{shown} episodes of {options.dataset}: {options.out}; mark some, and it prints the command that removes them"
+    )
     return 0
 
 
-def _played(args: argparse.Namespace) -> Clip:
+def _played(motion: str, options: Options) -> Clip:
     """Play a new episode with the policy or expert."""
-    given = given_fields(args, RECIPE_OPTIONS)
-    if args.thoughts:
-        actor = ThinkingAgent(args.policy, trust=args.trust)
+    given = dict(options.rules)
+    if options.thoughts:
+        actor = ThinkingAgent(options.policy, trust=options.trust)
     else:
-        actor = make_actor(args.policy, given.get("capture", Recipe.capture), trust=args.trust)
-    views = {*actor.views, args.view} - {"ego"}
-    if not BENCHMARK.splits_with("motion", args.motion):  # not part of the benchmark, so no split lists it
-        given["motions"] = (args.motion,)
-    recipe = Recipe(split=args.split, views=tuple(sorted(views)), **playing_rules(given, actor))
-    known = kind_seeds(recipe, args.motion)
-    if args.seed >= len(known):
+        actor = make_actor(options.policy, given.get("capture", Recipe.capture), trust=options.trust)
+    views = {*actor.views, options.view} - {"ego"}
+    if not BENCHMARK.splits_with("motion", motion):  # not part of the benchmark, so no split lists it
+        given["motions"] = (motion,)
+    recipe = Recipe(split=options.split, views=tuple(sorted(views)), **playing_rules(given, actor))
+    known = kind_seeds(recipe, motion)
+    if options.seed >= len(known):
         raise ValueError(
-            f"split {args.split!r} has {len(known)} episodes of motion {args.motion!r}, so --seed must be 0 to "
-            f"{len(known) - 1}, got {args.seed}"
+            f"split {options.split!r} has {len(known)} episodes of motion {motion!r}, so --seed must be 0 to "
+            f"{len(known) - 1}, got {options.seed}"
         )
-    spec = sample_specs(recipe, [known[args.seed]])[0]
+    spec = sample_specs(recipe, [known[options.seed]])[0]
     batch = WorldBatch(recipe, 1)
     episode = next(evaluate(batch, actor, [spec], images=True))
-    clip = _clip(episode, args.view, episode.meta.agent)
+    clip = _clip(episode, options.view, episode.meta.agent)
     if isinstance(actor, ThinkingAgent):
-        clip = replace(clip, frames=drawn(episode, actor.thoughts, batch, args.view))
+        clip = replace(clip, frames=drawn(episode, actor.thoughts, batch, options.view))
     return clip
 
 
-def _replayed(args: argparse.Namespace) -> Clip:
+def _replayed(folder: Path, options: Options) -> Clip:
     """Replay an evaluated episode's actions, rendered at any image size."""
-    results = read_results(args.results)
+    results = read_results(folder)
     seeds = [row["seed"] for row in results.rows]
-    if args.seed not in seeds:
-        raise ValueError(f"{args.results} has no episode with seed {args.seed}; it has {min(seeds)} to {max(seeds)}")
+    if options.seed not in seeds:
+        raise ValueError(f"{folder} has no episode with seed {options.seed}; it has {min(seeds)} to {max(seeds)}")
     recipe = results.recipe()
     if recipe.fingerprint() != results.info.fingerprint:
         print("other code produced these results: the replay may differ from the evaluated episode")
-    index = seeds.index(args.seed)
-    size = recipe.image_size or DEFAULT_IMAGE_SIZE_PX if args.image_size is None else args.image_size
-    shown = replace(recipe, image_size=size, views=() if args.view == "ego" else (args.view,))
+    index = seeds.index(options.seed)
+    size = options.rules.get("image_size", recipe.image_size or DEFAULT_IMAGE_SIZE_PX)
+    shown = replace(recipe, image_size=size, views=() if options.view == "ego" else (options.view,))
     (episode,) = replay(shown, [results.log(index)])
-    return _clip(episode, args.view, results.info.policy)
+    return _clip(episode, options.view, results.info.policy)
 
 
 def _clip(episode: Episode, view: str, agent: str) -> Clip:
@@ -174,22 +172,22 @@ def _clip(episode: Episode, view: str, agent: str) -> Clip:
     return Clip(episode.images[view], f"{agent}: {episode.meta.task} {episode.stage}", phases_of(episode))
 
 
-def _from_dataset(args: argparse.Namespace) -> Clip:
+def _from_dataset(root: Path, options: Options) -> Clip:
     """Read an episode of a dataset with LeRobot."""
-    dataset = open_dataset(args.dataset)
-    if not 0 <= args.episode < dataset.num_episodes:
-        raise ValueError(f"--episode must be 0 to {dataset.num_episodes - 1}, got {args.episode}")
-    key = _camera_key(args, dataset)
-    with reading(args.dataset):
-        frames, items, images = read_episode(dataset, args.episode, key)
-    return Clip(images, str(items[0]["task"]), _stored_phases(args.dataset, frames), dataset.fps)
+    dataset = open_dataset(root)
+    if not 0 <= options.episode < dataset.num_episodes:
+        raise ValueError(f"--episode must be 0 to {dataset.num_episodes - 1}, got {options.episode}")
+    key = _camera_key(options, dataset)
+    with reading(root):
+        frames, items, images = read_episode(dataset, options.episode, key)
+    return Clip(images, str(items[0]["task"]), _stored_phases(root, frames), dataset.fps)
 
 
-def _camera_key(args: argparse.Namespace, dataset: Any) -> str:
+def _camera_key(options: Options, dataset: Any) -> str:
     """Return the key of the chosen view's images."""
-    if (key := IMAGE_PREFIX + args.view) not in dataset.meta.camera_keys:
+    if (key := IMAGE_PREFIX + options.view) not in dataset.meta.camera_keys:
         cameras = ", ".join(dataset.meta.camera_keys) or "none at all"
-        raise ValueError(f"{args.dataset} has no view {args.view!r}, only {cameras}")
+        raise ValueError(f"{options.dataset} has no view {options.view!r}, only {cameras}")
     return key
 
 

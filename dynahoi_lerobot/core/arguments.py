@@ -1,10 +1,9 @@
-"""What commands share: their failure, types of arguments, and options derived from a dataclass."""
+"""What commands share: their failure, types of arguments, and the parser that a dataclass of options describes."""
 
-import inspect
-import re
-from argparse import ArgumentParser, ArgumentTypeError, Namespace
-from collections.abc import Callable, Iterable
+from argparse import SUPPRESS, ArgumentParser, ArgumentTypeError
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
+from dataclasses import MISSING, field, fields
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -52,30 +51,71 @@ def _reader[N: (int, float)](convert: Callable[[str], N], noun: str, low: N, hig
     return read
 
 
-def add_field_arguments(parser: ArgumentParser, cls: type, fields: Iterable[str], **notes: str) -> None:
-    """Declare an option for each of some ``fields`` of a dataclass: ``--control-class`` for ``control_class``.
+READERS = {int: int, float: float, str: str, Path: path, tuple[str, ...]: names}
+"""What reads an argument, by the type of its field, or of the elements of its list."""
 
-    Type and help come from the dataclass, whose fields are strings, numbers, flags or tuples of strings, and from the
-    ``Attributes`` of its docstring; ``notes`` add to the help of a field. Options that are not given are None.
+
+def option(
+    default: Any, text: str, read: Callable[[str], Any] | None = None, *, repr: bool = True, **settings: Any
+) -> Any:
+    """Return the dataclass field of an option: ``--dry-run`` for a field ``dry_run``.
+
+    Args:
+        default: of the field; False for a switch, ``list`` for an option that may be repeated, ``MISSING`` for one that
+            is required.
+        text: its help.
+        read: parses what is given, instead of the entry of ``READERS`` for the type of the field.
+        repr: whether the ``repr`` of the dataclass shows it.
+        settings: of argparse, such as ``choices``; or ``either``, True for those of which exactly one must be given.
     """
-    hints, docs = get_type_hints(cls), field_docs(cls)
-    for name in fields:
-        option, text = "--" + name.replace("_", "-"), "; ".join(filter(None, (docs[name], notes.get(name))))
-        text = text.replace("%", "%%")
-        if (hint := hints[name]) is bool:
-            parser.add_argument(option, action="store_true", default=None, help=text)
-        else:
-            plain = (kind for kind in (int, float, str) if hint in (kind, kind | None))
-            parser.add_argument(option, type=names if hint == tuple[str, ...] else next(plain), help=text)
+    metadata = {"help": text, "required": default is MISSING} | ({"type": read} if read else {}) | settings
+    if default is list:
+        return field(default_factory=list, metadata={"action": "append"} | metadata)
+    return field(default=default, repr=repr, metadata=({"action": "store_true"} if default is False else {}) | metadata)
 
 
-def given_fields(args: Namespace, fields: Iterable[str]) -> dict[str, Any]:
-    """Return those of the ``fields`` of a dataclass that the command line gives."""
-    return {name: value for name in fields if (value := getattr(args, name, None)) is not None}
+def argument(text: str, **settings: Any) -> Any:
+    """Return the dataclass field of a positional argument, with its help and other ``settings`` of argparse."""
+    return field(metadata={"help": text} | settings)
 
 
-def field_docs(cls: type) -> dict[str, str]:
-    """Return what the ``Attributes`` section of a dataclass's docstring says of each field, on one line."""
-    section = (inspect.getdoc(cls) or "").partition("Attributes:\n")[2].partition("\n\n")[0]
-    entries = re.findall(r"^    (\w+): (.+(?:\n {8}.+)*)", section, re.MULTILINE)
-    return {name: " ".join(text.replace("``", "").split()).removesuffix(".") for name, text in entries}
+def given_of(cls: type, only: Collection[str], **notes: str) -> Any:
+    """Return a dataclass field for what is given of another dataclass: values, by name, of its fields ``only``.
+
+    Each of them, an ``option`` of ``cls``, is an option here; ``notes`` add to the help of some.
+    """
+    return field(default_factory=dict, metadata={"part": {"cls": cls, "only": only, "notes": notes}})
+
+
+def add_options(
+    parser: ArgumentParser, cls: type, only: Collection[str] | None = None, notes: Mapping[str, str] | None = None
+) -> None:
+    """Declare the options and arguments that a dataclass describes; those ``only`` if that is not None.
+
+    Values that are not given are left out, for the defaults of the dataclass.
+    """
+    hints, either = get_type_hints(cls), None
+    for entry in fields(cls):
+        if only is not None and entry.name not in only:
+            continue
+        if "part" in entry.metadata:
+            add_options(parser, **entry.metadata["part"])
+            continue
+        hint = hints[entry.name]
+        read = next((read for kind, read in READERS.items() if hint in (kind, kind | None, list[kind])), None)
+        settings = ({"type": read} if read else {}) | entry.metadata
+        told = "; ".join(filter(None, (settings["help"], (notes or {}).get(entry.name))))
+        settings |= {"help": told.replace("%", "%%"), "default": SUPPRESS}
+        place: Any = parser
+        if settings.pop("either", False):
+            place = either = either or parser.add_mutually_exclusive_group(required=True)
+        positional = "required" not in settings  # which argparse refuses for those
+        place.add_argument(entry.name if positional else "--" + entry.name.replace("_", "-"), **settings)
+
+
+def read_options(cls: type, given: Mapping[str, Any]) -> Any:
+    """Return an instance of the dataclass, from what the parser of ``add_options`` was ``given``."""
+    values = {entry.name: given[entry.name] for entry in fields(cls) if entry.name in given}
+    parts = {entry.name: entry.metadata["part"]["only"] for entry in fields(cls) if "part" in entry.metadata}
+    inner = {name: {key: value for key, value in given.items() if key in only} for name, only in parts.items()}
+    return cls(**values, **inner)

@@ -21,6 +21,7 @@ from av.packet import Packet
 from av.video.codeccontext import VideoCodecContext
 from av.video.stream import VideoStream
 
+from dynahoi_lerobot.core.arguments import option
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.reading import regular
 from dynahoi_lerobot.core.registry import known
@@ -39,21 +40,12 @@ FRAME = Fraction(1, CONTROL_HZ)
 
 @dataclass(frozen=True)
 class Encoding:
-    """How a dataset stores its images.
+    """How a dataset stores its images."""
 
-    The lines below are also the help of ``dynahoi generate``.
-
-    Attributes:
-        codec: h264, or images for PNG files in the parquet tables instead of video.
-        crf: constant rate factor; lower means better quality and larger files.
-        preset: encoder speed preset.
-        gop: key frame interval [frames]; every episode starts with a key frame.
-    """
-
-    codec: str = "h264"
-    crf: int = 20
-    preset: str = "superfast"
-    gop: int = 2
+    codec: str = option("h264", "h264, or images for PNG files in the parquet tables instead of video")
+    crf: int = option(20, "constant rate factor; lower means better quality and larger files")
+    preset: str = option("superfast", "encoder speed preset")
+    gop: int = option(2, "key frame interval [frames]; every episode starts with a key frame")
 
     def __post_init__(self) -> None:
         """Refuse what no encoder could do; ValueError naming the value and those allowed."""

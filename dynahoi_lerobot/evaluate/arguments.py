@@ -1,6 +1,5 @@
 """What commands that play have in common: who moves the hand, and under which rules."""
 
-import argparse
 from collections.abc import Sequence
 from typing import Any
 
@@ -17,6 +16,9 @@ TRAINED_FOR = dict.fromkeys(
     "by default the setting that the policy was trained with",
 )
 """Fields of a recipe that a policy may say it was trained for, with what that adds to their help."""
+
+TRUST = "load the checkpoint even if it can run code, and list the findings (docs/notes/trust.md)"
+"""Help of ``--trust``, which every command that loads a policy has."""
 
 EXPERT_ALIAS = "expert"
 """Name of the capture rule's own expert: ``intercept`` under attach, ``match`` under contact."""
@@ -44,15 +46,6 @@ def make_actor(
     if key in EXPERTS:
         return EXPERTS[key]()
     return PolicyAgent(name, device, settings, trust=trust)
-
-
-def add_trust_argument(parser: argparse.ArgumentParser) -> None:
-    """Declare ``--trust``, which every command that loads a policy has."""
-    parser.add_argument(
-        "--trust",
-        action="store_true",
-        help="load the checkpoint even if it can run code, and list the findings (docs/notes/trust.md)",
-    )
 
 
 def playing_rules(given: dict[str, Any], actor: Actor) -> dict[str, Any]:

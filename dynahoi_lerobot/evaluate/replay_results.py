@@ -5,7 +5,6 @@ show who or what gave the commands, from which observations, or how long that to
 another name replays, too.
 """
 
-import argparse
 import math
 import reprlib
 import secrets
@@ -13,6 +12,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from itertools import batched
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -40,16 +40,20 @@ COMPUTED = ("n", "n_success", "pc_success_ci95", "metrics", "per_kind")
 """Entries of ``metrics.json`` that follow from the rows."""
 
 
-def run(args: argparse.Namespace) -> int:
-    """Print what was replayed, and what differs; return the exit code: 0 if every number is the same, else 1."""
-    results = read_results(args.replay)
-    recipe = open_recipe(results, args.salt or "")
+def run(folder: Path, salt: str, count: int | None, seed: int | None) -> int:
+    """Replay ``count`` episodes (all for None), drawn with ``seed`` (random for None), and print what differs.
+
+    Returns:
+        The exit code: 0 if every number is the same, else 1.
+    """
+    results = read_results(folder)
+    recipe = open_recipe(results, salt)
     for name in (METRICS_FILE, EPISODES_FILE, ACTIONS_FILE):
         print(f"sha256 {sha256(results.folder / name)}  {results.folder / name}")
     for name, (value, rule) in (changed_rules(results) | _unseen_rules(results)).items():
         print(f"not the benchmark's {name}: {reprlib.repr(value)}, which is {reprlib.repr(rule)}")
-    seed = secrets.randbits(32) if args.replay_seed is None else args.replay_seed
-    chosen = drawn(len(results.rows), args.episodes, seed)
+    seed = secrets.randbits(32) if seed is None else seed
+    chosen = drawn(len(results.rows), count, seed)
     findings = list(check_results(results, recipe))
     if not findings:
         progress = tqdm(check_episodes(results, recipe, chosen), total=len(chosen), desc="replaying", unit="episode")

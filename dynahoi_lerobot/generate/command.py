@@ -3,150 +3,143 @@
 With ``--actor`` a policy moves the hand, and the expert labels its states.
 """
 
-import argparse
 import json
 import sys
-from dataclasses import fields, replace
+from dataclasses import MISSING, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
-from dynahoi_lerobot.core.arguments import add_field_arguments, given_fields, number, path, whole
+from dynahoi_lerobot.core.arguments import given_of, number, option, whole
 from dynahoi_lerobot.core.files import check_output
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import FileLimits, check_root
 from dynahoi_lerobot.dataset.video import Encoding
-from dynahoi_lerobot.evaluate.arguments import add_trust_argument
+from dynahoi_lerobot.evaluate.arguments import TRUST
 from dynahoi_lerobot.generate.actor import actor_name, make_actor, open_policy, runtime
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationPlan, Record, shard_size
 from dynahoi_lerobot.rollout import loop
-from dynahoi_lerobot.sampling.recipe import Recipe, load_recipe
+from dynahoi_lerobot.sampling.recipe import PLAYING, RECORDING, Recipe, load_recipe
 
-RECIPE_OPTIONS = tuple(entry.name for entry in fields(Recipe) if entry.name != "actor")
-"""Fields of the recipe that options of the command override; ``--actor`` takes a checkpoint, not its name."""
-ENCODING_OPTIONS = tuple(entry.name for entry in fields(Encoding))
 EXECUTORS = ("local", "slurm", "ray")
 LONGEST_VIDEO_S = 1e9
 """No dataset is longer."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of ``dynahoi generate``."""
-    parser.add_argument("--root", type=path, required=True, help="dataset folder; an incomplete one is resumed")
-    parser.add_argument("--recipe", type=path, help="YAML file; the options below override it")
-    parser.add_argument("--episodes", type=int, required=True, help="number of episodes")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the first episode; episode i has seed + i")
-    add_field_arguments(parser, Recipe, RECIPE_OPTIONS)
-    parser.add_argument(
-        "--subtasks", action="store_true", help="store the current subtask in LeRobot's language column"
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Of ``dynahoi generate``."""
+
+    root: Path = option(MISSING, "dataset folder; an incomplete one is resumed")
+    recipe: Path | None = option(None, "YAML file; the options below override it")
+    episodes: int = option(MISSING, "number of episodes")
+    seed: int = option(0, "seed of the first episode; episode i has seed + i")
+    rules: dict[str, Any] = given_of(Recipe, {*PLAYING, *RECORDING} - {"actor"})
+    subtasks: bool = option(False, "store the current subtask in LeRobot's language column")
+    workers: int = option(1, "number of processes", whole(1, 4096))
+    shard_episodes: int | None = option(None, "episodes per shard; by default an eighth of all, at most 256")
+    encoding: dict[str, Any] = given_of(Encoding, ("codec", "crf", "preset", "gop"))
+    video_seconds: float = option(
+        FileLimits.video_s,
+        "maximum length of a video file [s], and at most 200 MB; LeRobot can only stream one file per view",
+        number(1.0, LONGEST_VIDEO_S),
     )
-    parser.add_argument("--workers", type=whole(1, 4096), default=1, help="number of processes")
-    parser.add_argument(
-        "--shard-episodes", type=int, help="episodes per shard; by default an eighth of all, at most 256"
+    executor: str | None = option(None, "run the shards as datatrove tasks", choices=EXECUTORS)
+    tasks: int | None = option(None, "number of tasks; one per shard by default", whole(1, 100_000))
+    dry_run: bool = option(False, "print what --executor would do")
+    partition: str = option("cpu", "Slurm partition")
+    time: str = option("24:00:00", "Slurm time limit per task")
+    cpus_per_task: int = option(1, "Slurm CPUs per task", whole(1, 4096))
+    gpus_per_task: int = option(0, "Slurm GPUs per task", whole(0, 64))
+    json: Path | None = option(None, "also write the summary to this file")
+    actor: str | None = option(
+        None, "policy that moves the hand while the expert labels its states", metavar="CHECKPOINT"
     )
-    add_field_arguments(parser, Encoding, ENCODING_OPTIONS)
-    parser.add_argument(
-        "--video-seconds",
-        type=number(1.0, LONGEST_VIDEO_S),
-        default=FileLimits.video_s,
-        help="maximum length of a video file [s], and at most 200 MB; LeRobot can only stream one file per view",
-    )
-    parser.add_argument("--executor", choices=EXECUTORS, help="run the shards as datatrove tasks")
-    parser.add_argument("--tasks", type=whole(1, 100_000), help="number of tasks; one per shard by default")
-    parser.add_argument("--dry-run", action="store_true", help="print what --executor would do")
-    parser.add_argument("--partition", default="cpu", help="Slurm partition")
-    parser.add_argument("--time", default="24:00:00", help="Slurm time limit per task")
-    parser.add_argument("--cpus-per-task", type=whole(1, 4096), default=1, help="Slurm CPUs per task")
-    parser.add_argument("--gpus-per-task", type=whole(0, 64), default=0, help="Slurm GPUs per task")
-    parser.add_argument("--json", type=path, help="also write the summary to this file")
-    parser.add_argument(
-        "--actor", metavar="CHECKPOINT", help="policy that moves the hand while the expert labels its states"
-    )
-    add_trust_argument(parser)
+    trust: bool = option(False, TRUST)
 
 
-def run(args: argparse.Namespace, *, record: Record | None = None, recipe: Recipe | None = None) -> int:
+def run(options: Options, *, record: Record | None = None, recipe: Recipe | None = None) -> int:
     """Generate a dataset and print a JSON summary.
 
     Args:
-        args: the parsed arguments of ``add_arguments``.
+        options: what the command line says.
         record: plays the expert without ``--actor``; ``dynahoi_lerobot.rollout.loop.record`` by default.
         recipe: what the options override; that of ``--recipe``, or the default recipe, by default.
 
     Returns:
         The exit code, 0.
     """
-    check_output(args.root)
-    check_root(args.root)
-    complete = args.root.exists()
-    recipe, runs_on = recipe or load_recipe(args.recipe), ""
-    if args.actor is not None:
-        recipe, record, runs_on = _on_policy(args, recipe)
-    plan = _plan(args, recipe, runs_on)
-    if args.executor is not None:
+    check_output(options.root)
+    check_root(options.root)
+    complete = options.root.exists()
+    recipe, runs_on = recipe or load_recipe(options.recipe), ""
+    if options.actor is not None:
+        recipe, record, runs_on = _on_policy(options.actor, options, recipe)
+    plan = _plan(options, recipe, runs_on)
+    if options.executor is not None:
         from dynahoi_lerobot.generate import executors
 
         resources = executors.ClusterResources(
-            args.tasks, -1 if args.workers == 1 else args.workers, args.cpus_per_task,
-            gpus_per_task=args.gpus_per_task, partition=args.partition, time=args.time,
+            options.tasks, -1 if options.workers == 1 else options.workers, options.cpus_per_task,
+            gpus_per_task=options.gpus_per_task, partition=options.partition, time=options.time,
         )  # fmt: skip
-        recorder = record or partial(loop.record, threads=args.cpus_per_task)
-        work = (args.executor, plan, args.root, recorder, resources)
-        if args.dry_run or not executors.run(*work):
+        recorder = record or partial(loop.record, threads=options.cpus_per_task)
+        work = (options.executor, plan, options.root, recorder, resources)
+        if options.dry_run or not executors.run(*work):
             print(executors.describe(*work))
             return 0
-    record = record or partial(loop.record, threads=_threads(args))
+    record = record or partial(loop.record, threads=_threads(options))
     with tqdm(total=plan.episodes, desc="generating", unit="episode", smoothing=0.05, disable=None) as bar:
         manifest = generate(
-            plan, args.root, record=record, workers=args.workers, progress=lambda done: bar.update(done - bar.n)
+            plan, options.root, record=record, workers=options.workers, progress=lambda done: bar.update(done - bar.n)
         )
     if complete:
-        print(f"{args.root} was already complete and agrees with its manifest", file=sys.stderr)
-    summary = _summary(args.root, manifest)
+        print(f"{options.root} was already complete and agrees with its manifest", file=sys.stderr)
+    summary = _summary(options.root, manifest)
     print(json.dumps(summary, indent=2))
-    if args.json:
-        args.json.write_text(json.dumps(summary, indent=2))
+    if options.json:
+        options.json.write_text(json.dumps(summary, indent=2))
     return 0
 
 
-def _on_policy(args: argparse.Namespace, recipe: Recipe) -> tuple[Recipe, Record, str]:
+def _on_policy(actor: str, options: Options, recipe: Recipe) -> tuple[Recipe, Record, str]:
     """Return the recipe for the policy of ``--actor``, its recorder, and its ``runtime``."""
-    policy, name = open_policy(args.actor, trust=args.trust), actor_name(args.actor)
+    policy, name = open_policy(actor, trust=options.trust), actor_name(actor)
     if recipe.actor not in ("", name):
-        raise ValueError(f"the recipe names the actor {recipe.actor}; --actor {args.actor} is {name}")
+        raise ValueError(f"the recipe names the actor {recipe.actor}; --actor {actor} is {name}")
     views = tuple(dict.fromkeys((*recipe.views, *policy.views)))
     trained = {key: policy.trained_for[key] for key in ("control_mode", "image_size") if key in policy.trained_for}
     recipe = replace(recipe, actor=name, views=views, **trained)
     runs_on = runtime(policy)
-    make = partial(make_actor, path=args.actor, name=name, on=runs_on, trust=args.trust)
-    return recipe, partial(loop.record_on_policy, make_agent=make, threads=_threads(args)), runs_on
+    make = partial(make_actor, path=actor, name=name, on=runs_on, trust=options.trust)
+    return recipe, partial(loop.record_on_policy, make_agent=make, threads=_threads(options)), runs_on
 
 
-def _threads(args: argparse.Namespace) -> int:
+def _threads(options: Options) -> int:
     """Return how many threads share the worlds of one process: all cores (0) if it is the only one."""
-    return 0 if args.workers == 1 else 1
+    return 0 if options.workers == 1 else 1
 
 
-def _plan(args: argparse.Namespace, recipe: Recipe, runs_on: str) -> GenerationPlan:
-    if recipe.actor and args.actor is None:
+def _plan(options: Options, recipe: Recipe, runs_on: str) -> GenerationPlan:
+    if recipe.actor and options.actor is None:
         raise ValueError(f"the recipe names the actor {recipe.actor}; give its checkpoint with --actor")
     return GenerationPlan(
-        recipe.changed(**given_fields(args, RECIPE_OPTIONS)),
-        args.episodes,
-        args.seed,
-        _encoding(args),
-        FileLimits(video_s=args.video_seconds),
-        shard_size(args.episodes) if args.shard_episodes is None else args.shard_episodes,
+        recipe.changed(**options.rules),
+        options.episodes,
+        options.seed,
+        _encoding(options),
+        FileLimits(video_s=options.video_seconds),
+        shard_size(options.episodes) if options.shard_episodes is None else options.shard_episodes,
         runtime=runs_on,
-        subtasks=args.subtasks,
+        subtasks=options.subtasks,
     )
 
 
-def _encoding(args: argparse.Namespace) -> Encoding:
-    given = given_fields(args, ENCODING_OPTIONS)
+def _encoding(options: Options) -> Encoding:
+    given = options.encoding
     encoding = Encoding(**given)
     settings = [name for name in given if name != "codec"]
     if settings and not encoding.is_video:

@@ -8,7 +8,6 @@ from pathlib import Path
 from dynahoi_lerobot.core.escaping import printable
 from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.evaluate.rows import IDENTITY, Row
-from dynahoi_lerobot.sampling.benchmark import ALLOW_MISMATCH
 from dynahoi_lerobot.sampling.splits import refuse_mixed_streams, refuse_to_mix
 
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c6bb1", "#999999")
@@ -41,7 +40,7 @@ def read_entries(folders: Sequence[Path], *, allow_version_mismatch: bool = Fals
     refuse_mixed_streams((result.folder, result.info.split) for result in results)
     if not allow_version_mismatch:
         found = [(result.folder, result.info.benchmark) for result in results]
-        refuse_to_mix("benchmark", found, f"evaluate both under one version, or add {ALLOW_MISMATCH}")
+        refuse_to_mix("benchmark", found, "evaluate both under one version, or add --allow-version-mismatch")
     results.sort(key=lambda result: -(result.summary["S_loc"].value or 0.0))
     labels = unique_labels(results)
     return [

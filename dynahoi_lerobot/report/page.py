@@ -1,14 +1,14 @@
 """``dynahoi report`` and ``render_report``: one self-contained HTML page from any number of result folders."""
 
-import argparse
 import base64
 from collections.abc import Collection, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-from dynahoi_lerobot.core.arguments import path
+from dynahoi_lerobot.core.arguments import argument, option
 from dynahoi_lerobot.core.escaping import printable
 from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.core.reading import ReadError, inside, read_bytes
@@ -18,7 +18,6 @@ from dynahoi_lerobot.evaluate.table import Cell, Table
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.report import figures
 from dynahoi_lerobot.report.entries import Entry, distinct_episodes, read_entries
-from dynahoi_lerobot.sampling.benchmark import ALLOW_MISMATCH
 
 FILE_NAME = "report.html"
 
@@ -34,32 +33,30 @@ LARGEST_CLIP_BYTES = 5_000_000
 GIF_HEADERS = (b"GIF87a", b"GIF89a")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of ``dynahoi report``."""
-    parser.add_argument("folders", type=path, nargs="+", help="result folders of `dynahoi evaluate`")
-    parser.add_argument(ALLOW_MISMATCH, action="store_true", help="accept results of different benchmark versions")
-    parser.add_argument(
-        "--across",
-        action="append",
-        choices=CROSSABLE,
-        default=[],
-        help="also pair evaluations that differ in this condition; may be repeated",
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Of ``dynahoi report``."""
+
+    folders: list[Path] = argument("result folders of `dynahoi evaluate`", nargs="+")
+    allow_version_mismatch: bool = option(False, "accept results of different benchmark versions")
+    across: list[str] = option(
+        list, "also pair evaluations that differ in this condition; may be repeated", choices=CROSSABLE
     )
-    parser.add_argument("--out", type=path, default=Path("report.html"), help="output file")
+    out: Path = option(Path("report.html"), "output file")
 
 
-def run(args: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Write the page and print the tables; return the exit code."""
-    entries = read_entries(args.folders, allow_version_mismatch=args.allow_version_mismatch)
-    page = write_page(entries, args.out, args.across)
+    entries = read_entries(options.folders, allow_version_mismatch=options.allow_version_mismatch)
+    page = write_page(entries, options.out, options.across)
     print(table.results_table([entry.results for entry in entries]))
     pairs = list(combinations(entries, 2))
     for name in CROSSABLE:
-        if any(name in unequal_conditions(a.results, b.results, args.across) for a, b in pairs):
+        if any(name in unequal_conditions(a.results, b.results, options.across) for a, b in pairs):
             print(f"evaluations with different {name} are not paired; --across {name} pairs them")
-    for a, b in pairs if args.across else []:
-        if not unequal_conditions(a.results, b.results, args.across):
-            print(_difference(a, b, args.across))
+    for a, b in pairs if options.across else []:
+        if not unequal_conditions(a.results, b.results, options.across):
+            print(_difference(a, b, options.across))
     print(f"report: {page}")
     return 0
 

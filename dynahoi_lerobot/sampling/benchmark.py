@@ -145,6 +145,3 @@ BENCHMARK = Benchmark(
     ),
 )
 """The benchmark that the commands play."""
-
-ALLOW_MISMATCH = "--allow-version-mismatch"
-"""Option of the commands that otherwise refuse to mix versions of the benchmark."""

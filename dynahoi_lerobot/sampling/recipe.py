@@ -5,13 +5,14 @@ import hashlib
 import json
 import os
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
 import draccus
 
 from dynahoi_lerobot.captures import CAPTURES
+from dynahoi_lerobot.core.arguments import option
 from dynahoi_lerobot.core.control_mode import CONTROL_MODES, JOINTS
 from dynahoi_lerobot.core.conventions import DEFAULT_IMAGE_SIZE_PX, DETECTOR_IMAGE_SIZE_PX
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATES, EYE, Feature, frame_features
@@ -42,58 +43,63 @@ ACTOR = re.compile(r"[a-z0-9_]+@[0-9a-f]{16}")
 class Recipe:
     """The rules by which episodes are generated or played.
 
-    The lines below are also the help of the command-line options named after the fields.
-
-    Attributes:
-        split: train, val, test, test_small, twins or one of the ``ood_`` splits; selects the seed stream.
-        motions: comma-separated kinds of motion to cycle through; by default those of the split. Registered motions
-            outside the benchmark must be named here.
-        objects: comma-separated objects to sample from; by default those of the split.
-        path_speed: speed factor along the target's path: 1, or in split twins also 1.6.
-        protocol: observation protocol: observe_before_act, direct_act, observe_then_blind or occluded.
-        control_class: speed limits and command latency of the hand: standard, late or unlimited.
-        control_mode: action space: joints (palm position and 15 joint angles) or grasp (palm displacement and closure
-            of the hand).
-        capture: capture rule: attach, attach_lenient or contact.
-        hand: hand model; by default that of the capture rule.
-        expert: demonstrating expert; by default that of the capture rule.
-        instructions: whether language instructions name the motion: reveal, neutral or mixed.
-        appearance: comma-separated visual randomizations beyond the training distribution: materials, lights, specular,
-            transparency, distractors.
-        image_size: side of the square images [px]; 0 shows none.
-        views: comma-separated views in addition to ego, the hand's camera, such as side or ego_depth.
-        renderer: image renderer.
-        perturbed_share: share of episodes in which the palm is pushed off course at times, if the expert can recover.
-        render_noise: largest random change of each image value, in levels of 255; imitates another renderer.
-        salt: secret text that selects hidden episodes of the same benchmark; only its hash is stored.
-        environment_state: add observation.environment_state to the observations: truth, the target's pose and velocity;
-            or eye, where a pretrained image encoder sees the target.
-        keep_failures: also store episodes in which the expert fails, instead of replacing them.
-        actor: policy that moves the hand while the expert labels its states, TYPE@HASH of its checkpoint; empty if the
-            expert demonstrates. Its failures are always kept.
+    The text of a field is also the help of the command-line option named after it.
     """
 
-    split: str = "train"
-    motions: tuple[str, ...] = ()
-    objects: tuple[str, ...] = ()
-    path_speed: float = 1.0
-    protocol: str = DEFAULT_PROTOCOL
-    control_class: str = DEFAULT_CONTROL_CLASS
-    control_mode: str = JOINTS
-    capture: str = "attach"
-    hand: str = ""
-    expert: str = ""
-    instructions: str = "mixed"
-    appearance: tuple[str, ...] = ()
-    image_size: int = DEFAULT_IMAGE_SIZE_PX
-    views: tuple[str, ...] = ()
-    renderer: str = DEFAULT_RENDERER
-    perturbed_share: float = 0.5
-    render_noise: int = 0
-    salt: str = field(default="", repr=False)
-    environment_state: str = ""
-    keep_failures: bool = False
-    actor: str = ""
+    split: str = option(
+        "train", "train, val, test, test_small, twins or one of the ood_ splits; selects the seed stream"
+    )
+    motions: tuple[str, ...] = option(
+        (),
+        "comma-separated kinds of motion to cycle through; by default those of the split. Registered motions outside "
+        "the benchmark must be named here",
+    )
+    objects: tuple[str, ...] = option((), "comma-separated objects to sample from; by default those of the split")
+    path_speed: float = option(1.0, "speed factor along the target's path: 1, or in split twins also 1.6")
+    protocol: str = option(
+        DEFAULT_PROTOCOL, "observation protocol: observe_before_act, direct_act, observe_then_blind or occluded"
+    )
+    control_class: str = option(
+        DEFAULT_CONTROL_CLASS, "speed limits and command latency of the hand: standard, late or unlimited"
+    )
+    control_mode: str = option(
+        JOINTS,
+        "action space: joints (palm position and 15 joint angles) or grasp (palm displacement and closure of the hand)",
+    )
+    capture: str = option("attach", "capture rule: attach, attach_lenient or contact")
+    hand: str = option("", "hand model; by default that of the capture rule")
+    expert: str = option("", "demonstrating expert; by default that of the capture rule")
+    instructions: str = option("mixed", "whether language instructions name the motion: reveal, neutral or mixed")
+    appearance: tuple[str, ...] = option(
+        (),
+        "comma-separated visual randomizations beyond the training distribution: materials, lights, specular, "
+        "transparency, distractors",
+    )
+    image_size: int = option(DEFAULT_IMAGE_SIZE_PX, "side of the square images [px]; 0 shows none")
+    views: tuple[str, ...] = option(
+        (), "comma-separated views in addition to ego, the hand's camera, such as side or ego_depth"
+    )
+    renderer: str = option(DEFAULT_RENDERER, "image renderer")
+    perturbed_share: float = option(
+        0.5, "share of episodes in which the palm is pushed off course at times, if the expert can recover"
+    )
+    render_noise: int = option(
+        0, "largest random change of each image value, in levels of 255; imitates another renderer"
+    )
+    salt: str = option(
+        "", "secret text that selects hidden episodes of the same benchmark; only its hash is stored", repr=False
+    )
+    environment_state: str = option(
+        "",
+        "add observation.environment_state to the observations: truth, the target's pose and velocity; or eye, where "
+        "a pretrained image encoder sees the target",
+    )
+    keep_failures: bool = option(False, "also store episodes in which the expert fails, instead of replacing them")
+    actor: str = option(
+        "",
+        "policy that moves the hand while the expert labels its states, TYPE@HASH of its checkpoint; empty if the "
+        "expert demonstrates. Its failures are always kept",
+    )
 
     def __post_init__(self) -> None:
         """Check every name against what exists.

@@ -1,6 +1,5 @@
 """``dynahoi verify``: run every check on a dataset on disk and print the findings."""
 
-import argparse
 import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
@@ -13,7 +12,7 @@ import draccus
 import numpy as np
 from tqdm import tqdm
 
-from dynahoi_lerobot.core.arguments import path, whole
+from dynahoi_lerobot.core.arguments import argument, option, whole
 from dynahoi_lerobot.core.escaping import printable
 from dynahoi_lerobot.core.reading import ReadError, reading
 from dynahoi_lerobot.dataset.manifest import Manifest
@@ -47,30 +46,30 @@ class Finding:
         return printable(f"{self.check}: {self.message}"[:LONGEST])
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of ``dynahoi verify``."""
-    parser.add_argument("root", type=path, help="dataset folder")
-    parser.add_argument(
-        "--replay",
-        type=whole(1, 10**9),
-        help="number of random episodes to regenerate from their seeds and compare, including images",
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Of ``dynahoi verify``."""
+
+    root: Path = argument("dataset folder")
+    replay: int | None = option(
+        None, "number of random episodes to regenerate from their seeds and compare, including images", whole(1, 10**9)
     )
-    parser.add_argument("--json", type=path, help="also write the findings to this file")
+    json: Path | None = option(None, "also write the findings to this file")
 
 
-def run(args: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Verify a dataset and print the findings; return the exit code: 0 no findings, 1 findings."""
     try:
-        episodes = Store(args.root).info.get("total_episodes")
+        episodes = Store(options.root).info.get("total_episodes")
     except ValueError:
         episodes = None  # a finding
     with tqdm(total=episodes if isinstance(episodes, int) else None, unit="episode", disable=None) as bar:
-        findings = verify(args.root, replayed=args.replay, progress=bar.update, note=print)
+        findings = verify(options.root, replayed=options.replay, progress=bar.update, note=print)
     for finding in findings:
         print(finding)
-    print(f"{args.root}: {f'{len(findings)} findings' if findings else f'{episodes} episodes, no findings'}")
-    if args.json:
-        args.json.write_text(json.dumps([asdict(finding) for finding in findings], indent=2))
+    print(f"{options.root}: {f'{len(findings)} findings' if findings else f'{episodes} episodes, no findings'}")
+    if options.json:
+        options.json.write_text(json.dumps([asdict(finding) for finding in findings], indent=2))
     return 1 if findings else 0
 
 

@@ -3,12 +3,12 @@
 Appendix "Post-processing": an episode is an outlier if it leaves the robust range of a column of the whole dataset.
 """
 
-import argparse
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from dynahoi_lerobot.core.arguments import names, path
+from dynahoi_lerobot.core.arguments import argument, option
 from dynahoi_lerobot.dataset.columns import BOOKKEEPING, numeric_keys
 from dynahoi_lerobot.dataset.merge import copy_subset
 from dynahoi_lerobot.dataset.store import Store, frame_column
@@ -19,34 +19,34 @@ ROUNDING = 1e-6
 """Excursions up to this [unit of the column] are rounding of float32."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of ``dynahoi filter``."""
-    parser.add_argument("root", type=path, help="dataset folder; it is not changed")
-    parser.add_argument("--out", type=path, help="folder of the new dataset, which must not exist")
-    parser.add_argument(
-        "--margin", type=float, default=MARGIN, help="tolerance on either side of [q01, q99], in widths of that range"
-    )
-    parser.add_argument("--column", default="action", help="column to check")
-    parser.add_argument("--drop", type=names, help="comma-separated episodes to drop instead of the outliers")
-    parser.add_argument("--dry-run", action="store_true", help="only print what would be dropped")
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Of ``dynahoi filter``."""
+
+    root: Path = argument("dataset folder; it is not changed")
+    out: Path | None = option(None, "folder of the new dataset, which must not exist")
+    margin: float = option(MARGIN, "tolerance on either side of [q01, q99], in widths of that range")
+    column: str = option("action", "column to check")
+    drop: tuple[str, ...] = option((), "comma-separated episodes to drop instead of the outliers")
+    dry_run: bool = option(False, "only print what would be dropped")
 
 
-def run(args: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Print the outliers and copy all other episodes; return the exit code."""
-    output: Path | None = None if args.dry_run else args.out
-    if output is None and not args.dry_run:
+    output = None if options.dry_run else options.out
+    if output is None and not options.dry_run:
         raise ValueError("say where the new dataset goes with --out DIR, or --dry-run to see what it would lack")
-    episodes = Store(args.root).episodes
-    outliers = {} if args.drop else find_outliers(args.root, args.margin, args.column)
-    if unknown := sorted(set(args.drop or ()) - set(map(str, range(episodes)))):
-        raise ValueError(f"--drop names episode {unknown[0][:40]!r}; {args.root} has 0 to {episodes - 1}")
-    left_out = sorted({int(word) for word in args.drop} if args.drop else outliers)
+    episodes = Store(options.root).episodes
+    outliers = {} if options.drop else find_outliers(options.root, options.margin, options.column)
+    if unknown := sorted(set(options.drop) - set(map(str, range(episodes)))):
+        raise ValueError(f"--drop names episode {unknown[0][:40]!r}; {options.root} has 0 to {episodes - 1}")
+    left_out = sorted({int(word) for word in options.drop} if options.drop else outliers)
     if output is not None:
-        copy_subset(args.root, output, [index for index in range(episodes) if index not in left_out])
+        copy_subset(options.root, output, [index for index in range(episodes) if index not in left_out])
     for sentence in outliers.values():
         print(sentence)
-    where = "dry run, nothing was written" if args.dry_run else f"the others are in {args.out}"
-    print(f"{args.root}: {len(left_out)} of {episodes} episodes left out; {where}")
+    where = "dry run, nothing was written" if options.dry_run else f"the others are in {options.out}"
+    print(f"{options.root}: {len(left_out)} of {episodes} episodes left out; {where}")
     return 0
 
 

@@ -1,13 +1,15 @@
 """One feature table for spaces, recordings and datasets; options derived from a dataclass."""
 
-from argparse import ArgumentParser
-from dataclasses import fields
+from argparse import ArgumentError, ArgumentParser
+from dataclasses import MISSING, dataclass, fields
 from math import prod
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from dynahoi_lerobot.core.agent import Observation
-from dynahoi_lerobot.core.arguments import add_field_arguments, field_docs, given_fields
+from dynahoi_lerobot.core.arguments import add_options, argument, given_of, option, read_options, whole
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import FEATURES
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -36,31 +38,49 @@ def test_elements_are_named_and_keys_are_unique() -> None:
     assert len({feature.key for feature in FEATURES.values()}) == len(FEATURES) - 1, "two kinds of environment_state"
 
 
-NAMES = tuple(entry.name for entry in fields(Recipe))
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    root: Path = argument("a folder")
+    seed: int = option(MISSING, "a number")
+    size: int | None = option(None, "half of 100 %", whole(1, 9))
+    dry_run: bool = option(False, "a switch")
+    sets: list[str] = option(list, "may be repeated")
+    rules: dict[str, Any] = given_of(Recipe, tuple(entry.name for entry in fields(Recipe)), protocol="more of it")
 
 
-@pytest.fixture
-def parser() -> ArgumentParser:
-    made = ArgumentParser()
-    add_field_arguments(made, Recipe, NAMES, protocol="more of it")
-    return made
+def read(*words: str) -> Options:
+    parser = ArgumentParser(exit_on_error=False)
+    add_options(parser, Options)
+    return read_options(Options, vars(parser.parse_args(["/made", "--seed=7", *words])))
 
 
-def test_every_field_of_a_recipe_is_documented_and_an_option(parser: ArgumentParser):
-    assert tuple(field_docs(Recipe)) == NAMES
-    for name, text in field_docs(Recipe).items():
-        assert f"--{name.replace('_', '-')}" in parser.format_help()
-        assert text
+def test_a_command_line_becomes_a_dataclass_with_its_defaults() -> None:
+    assert read() == Options(root=Path("/made"), seed=7)
+    given = read("--dry-run", "--sets=a", "--sets", "b", "--size", "3")
+    assert given == Options(root=Path("/made"), seed=7, size=3, dry_run=True, sets=["a", "b"])
+    with pytest.raises(ArgumentError, match="from 1 to 9, got 10"):
+        read("--size", "10")
 
 
-def test_only_what_is_said_is_given_and_has_the_type_of_its_field(parser: ArgumentParser):
-    assert given_fields(parser.parse_args([]), NAMES) == {}
-    words = ["--motions=lob,ramp", "--image-size=0", "--perturbed-share=0.1", "--keep-failures"]
-    given = given_fields(parser.parse_args([*words, "--capture", "contact"]), NAMES)
-    assert given == {
+def test_every_option_is_helped() -> None:
+    parser = ArgumentParser()
+    add_options(parser, Options)
+    told = " ".join(parser.format_help().split())
+    assert "half of 100 %" in told
+    for entry in fields(Recipe):
+        assert f"--{entry.name.replace('_', '-')}" in told
+        assert entry.metadata["help"] in told
+    assert f"{Recipe.__dataclass_fields__['protocol'].metadata['help']}; more of it" in told
+
+
+def test_only_what_is_said_of_a_recipe_is_given_and_has_the_type_of_its_field():
+    given = read(
+        "--motions=lob,ramp", "--image-size=0", "--perturbed-share=0.1", "--keep-failures", "--capture=contact"
+    )
+    assert given.rules == {
         "motions": ("lob", "ramp"), "image_size": 0, "perturbed_share": 0.1, "keep_failures": True,
         "capture": "contact",
     }  # fmt: skip
-    recipe = Recipe().changed(**given)
+    recipe = Recipe().changed(**given.rules)
     assert (recipe.hand, recipe.expert) == ("opposed", "match"), "they come with the capture rule"
     assert Recipe(capture="contact").changed(image_size=32).hand == "opposed"

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from dynahoi_lerobot.cli.main import COMMANDS
+from dynahoi_lerobot.core.arguments import add_options
 from dynahoi_lerobot.core.registry import GROUP
 from tests.docs.documents import ROOT, Page, pages
 
@@ -78,7 +79,7 @@ ELSEWHERE = {"--cpu", "--multi_gpu", "--steps"}
 @functools.cache
 def options(command: str) -> frozenset[str]:
     parser = argparse.ArgumentParser()
-    importlib.import_module(COMMANDS[command][0]).add_arguments(parser)
+    add_options(parser, importlib.import_module(COMMANDS[command][0]).Options)
     return frozenset(parser._option_string_actions)
 
 

@@ -4,6 +4,7 @@ import json
 import pytest
 
 from dynahoi_lerobot.cli.main import exit_code
+from dynahoi_lerobot.core.arguments import add_options, read_options
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.generate import command
 from tests.generate import recorder
@@ -12,9 +13,9 @@ from tests.generate.recorder import FakeRecipe
 
 def run(*words, record=recorder.record) -> int:
     parser = argparse.ArgumentParser()
-    command.add_arguments(parser)
-    args = parser.parse_args(["--episodes", "4", *map(str, words)])
-    return exit_code("dynahoi generate", lambda: command.run(args, record=record, recipe=FakeRecipe()))
+    add_options(parser, command.Options)
+    options = read_options(command.Options, vars(parser.parse_args(["--episodes", "4", *map(str, words)])))
+    return exit_code("dynahoi generate", lambda: command.run(options, record=record, recipe=FakeRecipe()))
 
 
 def test_generates_and_summarises(tmp_path, capsys):
