@@ -1,6 +1,5 @@
 """``dynahoi evaluate``: run a policy or an expert on a split and write the result folder."""
 
-import sys
 from collections.abc import Iterator
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
@@ -116,7 +115,7 @@ def run(options: Options) -> int:
         actor.name if options.policy == VLM else options.policy,
         stream_label(options.split, recipe.salt),
         recipe.capture,
-        command_line(sys.argv),
+        command_line(),
         recipe.fingerprint(),
         {
             "recipe": recipe.stored(),

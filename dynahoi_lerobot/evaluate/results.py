@@ -3,6 +3,7 @@
 import io
 import json
 import math
+import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
@@ -50,9 +51,9 @@ WEIGHTS = "weights"
 """Key of the sha256 of a policy's files of weights, by name."""
 
 
-def command_line(words: Sequence[str]) -> str:
-    """Return a command line as results keep it: printable, its program without the folder, a salt hidden."""
-    return printable(" ".join([Path(words[0]).name, *without_salt(words[1:])]))
+def command_line() -> str:
+    """Return the command line as results keep it: printable, its program without the folder, a salt hidden."""
+    return printable(" ".join([Path(sys.argv[0]).name, *without_salt(sys.argv[1:])]))
 
 
 @dataclass(frozen=True)

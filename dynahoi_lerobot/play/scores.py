@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
@@ -47,7 +46,7 @@ def scores_of(player: str, recipe: Recipe, folder: Path | None) -> Iterator[Scor
         FileExistsError: if it holds something else.
     """
     extra = {"recipe": recipe.stored(), "inference": "", "surroundings": surroundings()}
-    split, command = stream_label(recipe.split, recipe.salt), command_line(sys.argv)
+    split, command = stream_label(recipe.split, recipe.salt), command_line()
     info = RunInfo(player, split, recipe.capture, command, recipe.fingerprint(), extra)
     with working_folder(folder, info.task()) if folder else nullcontext():
         yield Scores(Results.resumed(folder, info) if folder else Results(Path(), info), folder is not None)

@@ -4,6 +4,7 @@ import hashlib
 import json
 import shutil
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -88,33 +89,42 @@ def test_features_are_the_datasets_and_further_views_reach_the_policy(tmp_path: 
     assert "Catch" in env.call("task_description")[0], "LeRobot's loop asks for it"
 
 
-def test_results_are_named_after_the_policy(tmp_path: Path) -> None:
+@pytest.fixture
+def said(monkeypatch: pytest.MonkeyPatch) -> Callable:
+    def answer(words: list[str], function: Callable):
+        monkeypatch.setattr(sys, "argv", words)
+        return function()
+
+    return answer
+
+
+def test_results_are_named_after_the_policy(tmp_path: Path, said) -> None:
     (tmp_path / "config.json").write_text('{"type": "act"}')
-    assert policy_name(["lerobot-eval", f"--policy.path={tmp_path}"]) == "act"
-    assert policy_name(["lerobot-train", "--policy.type=obact"]) == "obact"
-    assert policy_name(["somebody's script"]) == "policy"
-    assert policy_name(["lerobot-eval", "--policy.path", "me/policy"]) == "me/policy"
+    assert said(["lerobot-eval", f"--policy.path={tmp_path}"], policy_name) == "act"
+    assert said(["lerobot-train", "--policy.type=obact"], policy_name) == "obact"
+    assert said(["somebody's script"], policy_name) == "policy"
+    assert said(["lerobot-eval", "--policy.path", "me/policy"], policy_name) == "me/policy"
 
 
-def test_results_of_lerobot_eval_say_which_weights_were_played(tmp_path: Path) -> None:
+def test_results_of_lerobot_eval_say_which_weights_were_played(tmp_path: Path, said) -> None:
     (tmp_path / "model.safetensors").write_bytes(b"weights")
     weights = {"model.safetensors": hashlib.sha256(b"weights").hexdigest()}
-    assert policy_weights(["/bin/lerobot-eval", f"--policy.path={tmp_path}"]) == weights
-    assert policy_weights(["scripts/lerobot_eval.py", "--policy.pretrained_path", str(tmp_path)]) == weights
-    assert policy_weights(["lerobot-train", f"--policy.path={tmp_path}"]) == {}, "what training began with"
-    assert policy_weights(["lerobot-eval", "--policy.path=me/policy"]) == {}
+    assert said(["/bin/lerobot-eval", f"--policy.path={tmp_path}"], policy_weights) == weights
+    assert said(["scripts/lerobot_eval.py", "--policy.pretrained_path", str(tmp_path)], policy_weights) == weights
+    assert said(["lerobot-train", f"--policy.path={tmp_path}"], policy_weights) == {}, "what training began with"
+    assert said(["lerobot-eval", "--policy.path=me/policy"], policy_weights) == {}
 
 
 @pytest.mark.parametrize(
     "words", [["--output_dir=out/run"], ["--seed", "1", "--output_dir", "out/run", "--env.fps=20"]]
 )
-def test_results_go_below_lerobots_output_folder(words: list[str], tmp_path: Path) -> None:
-    assert new_results_folder(["lerobot-eval", *words]).parent == Path("out/run/dynahoi")
-    assert new_results_folder(["lerobot-eval"]).parent == Path("outputs/dynahoi")
+def test_results_go_below_lerobots_output_folder(words: list[str], tmp_path: Path, said) -> None:
+    assert said(["lerobot-eval", *words], new_results_folder).parent == Path("out/run/dynahoi")
+    assert said(["lerobot-eval"], new_results_folder).parent == Path("outputs/dynahoi")
     (tmp_path / "act.yaml").write_text("output_dir: outputs/act")
     recipe = f"--config_path={tmp_path / 'act.yaml'}"
-    assert new_results_folder(["lerobot-train", recipe]).parent == Path("outputs/act/dynahoi")
-    assert new_results_folder(["lerobot-train", recipe, *words]).parent == Path("out/run/dynahoi")
+    assert said(["lerobot-train", recipe], new_results_folder).parent == Path("outputs/act/dynahoi")
+    assert said(["lerobot-train", recipe, *words], new_results_folder).parent == Path("out/run/dynahoi")
 
 
 def test_a_checkpoint_is_played_under_the_rules_it_was_trained_for(tmp_path, monkeypatch, capsys):

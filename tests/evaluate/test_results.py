@@ -131,8 +131,9 @@ def test_no_episodes_make_no_results(tmp_path: Path):
         write_results(tmp_path, [], INFO)
 
 
-def test_a_command_line_is_kept_printable():
-    assert command_line(["/bin/dynahoi", "evaluate", "a\x1b[2J\nb"]) == r"dynahoi evaluate a\x1b[2J\nb"
+def test_a_command_line_is_kept_printable(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("sys.argv", ["/bin/dynahoi", "evaluate", "a\x1b[2J\nb"])
+    assert command_line() == r"dynahoi evaluate a\x1b[2J\nb"
 
 
 # -- damage -----------------------------------------------------------------------------------------------------------

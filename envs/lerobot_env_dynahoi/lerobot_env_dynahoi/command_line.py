@@ -1,6 +1,6 @@
 """What LeRobot's command line says of the policy: LeRobot makes an env first and does not pass the policy to it."""
 
-from collections.abc import Sequence
+import sys
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -13,46 +13,46 @@ from dynahoi_lerobot.evaluate.checkpoint import described_folder, folder_weights
 from dynahoi_lerobot.rollout.inference import QueuedPolicy
 
 
-def _policy_path(argv: Sequence[str]) -> str | None:
-    return parser.parse_arg("policy.path", argv) or parser.parse_arg("policy.pretrained_path", argv)
+def _policy_path() -> str | None:
+    return parser.parse_arg("policy.path") or parser.parse_arg("policy.pretrained_path")
 
 
-def policy_name(argv: Sequence[str]) -> str:
+def policy_name() -> str:
     """Return what is being played: the policy's type, its path, or just ``policy``."""
-    path = _policy_path(argv)
+    path = _policy_path()
     config = Path(path or "") / "config.json"
     if path and config.exists():
         return str(read_object(config).get("type", path))
-    return path or parser.get_type_arg("policy", argv) or "policy"
+    return path or parser.get_type_arg("policy") or "policy"
 
 
-def policy_weights(argv: Sequence[str]) -> dict[str, str]:
+def policy_weights() -> dict[str, str]:
     """Return the sha256 of the weights of the local checkpoint that ``lerobot-eval`` plays; nothing elsewhere.
 
     In training the checkpoint of the command line is what training began with.
     """
-    path, plays = _policy_path(argv), Path(argv[0]).stem.replace("_", "-") == "lerobot-eval"
+    path, plays = _policy_path(), Path(sys.argv[0]).stem.replace("_", "-") == "lerobot-eval"
     return folder_weights(Path(path)) if plays and path else {}
 
 
-def policy_rules(argv: Sequence[str]) -> dict[str, Any]:
+def policy_rules() -> dict[str, Any]:
     """Return the rules that the checkpoint of the command line was trained for, see ``trained_for``."""
-    path = _policy_path(argv)
+    path = _policy_path()
     try:
         return trained_for(described_folder(path)) if path else {}
     except ReadError:
         return {}  # LeRobot says what is wrong with it
 
 
-def new_results_folder(argv: Sequence[str]) -> Path:
+def new_results_folder() -> Path:
     """Return a folder for an evaluation that begins now: below ``--output_dir``, or ``outputs`` if that is not given.
 
     The file that ``--config_path`` names may give it, too. A training evaluates several times, so each evaluation has a
     folder of its own.
     """
-    config = Path(parser.parse_arg("config_path", argv) or "")
+    config = Path(parser.parse_arg("config_path") or "")
     told = read_yaml(config) if config.is_file() else {}
-    folder = Path(parser.parse_arg("output_dir", argv) or told.get("output_dir") or "outputs")
+    folder = Path(parser.parse_arg("output_dir") or told.get("output_dir") or "outputs")
     return folder / "dynahoi" / datetime.now().strftime("%Y-%m-%d_%H-%M-%S_%f")
 
 

@@ -1,6 +1,5 @@
 """The config behind ``--env.type=dynahoi``: what LeRobot may set, and the vector envs it gets."""
 
-import sys
 from dataclasses import dataclass, field, make_dataclass
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -103,7 +102,7 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
         kinds = kinds_of(self.task, recipe.motion_names)
         timing = Inference(self.inference, self.latency_ms)
         policy = None if timing.mode == SYNC else queued_policy(self.n_action_steps)
-        folder = new_results_folder(sys.argv) if self.results_dir is None else Path(self.results_dir)
+        folder = new_results_folder() if self.results_dir is None else Path(self.results_dir)
         log = ResultsLog(folder, recipe, timing.label)
         suites: dict[str, dict[int, gym.vector.VectorEnv]] = {}
         for kind in kinds:
@@ -116,7 +115,7 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
     def _recipe(self) -> Recipe:
         """Return what is played: what is given, and else what the policy was trained for, which is printed."""
         given = {name: value for name in RECIPE_FIELDS if (value := getattr(self, name)) is not None}
-        trained = {name: value for name, value in policy_rules(sys.argv).items() if name not in given}
+        trained = {name: value for name, value in policy_rules().items() if name not in given}
         if trained:
             told = ", ".join(f"{name} {value}" for name, value in trained.items())
             print(f"playing as the policy was trained: {told}")

@@ -4,7 +4,6 @@ LeRobot's loop keeps rewards and successes only, so the envs themselves write th
 files that ``dynahoi evaluate`` writes.
 """
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -29,10 +28,10 @@ class ResultsLog:
             "inference": inference,
             "privileged": recipe.environment_state == TRUTH,
             "surroundings": surroundings(),
-            WEIGHTS: policy_weights(sys.argv),
+            WEIGHTS: policy_weights(),
         }
-        name, command, split = policy_name(sys.argv), command_line(sys.argv), stream_label(recipe.split, recipe.salt)
-        info = RunInfo(name, split, recipe.capture, command, recipe.fingerprint(), extra)
+        split, fingerprint = stream_label(recipe.split, recipe.salt), recipe.fingerprint()
+        info = RunInfo(policy_name(), split, recipe.capture, command_line(), fingerprint, extra)
         self._results, self._unwritten = Results(folder, info), False
 
     def __call__(self, episode: Episode) -> None:
