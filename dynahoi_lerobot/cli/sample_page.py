@@ -13,7 +13,7 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 from PIL import Image
 
-from dynahoi_lerobot.core.control_mode import GRASP, mode_of
+from dynahoi_lerobot.core.control_mode import CONTROL_MODES, GRASP
 from dynahoi_lerobot.core.conventions import PALM_DOF
 from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.core.rules import is_acting
@@ -83,7 +83,7 @@ def _episode(dataset: Any, index: int, key: str, columns: dict[str, np.ndarray |
     """Return what the page shows of an episode; positions are (T, 3) lists [m], home frame."""
     row, (frames, items, images) = dataset.meta.episodes[index], read_episode(dataset, index, key)
     state, action = (np.stack([item[name].numpy() for item in items]) for name in ("observation.state", "action"))
-    grasp = mode_of(action.shape[1]) == GRASP
+    grasp = dataset.meta.features["action"]["names"] == [*CONTROL_MODES[GRASP]]
     goal = action[:, :PALM_DOF] + (state[:, :PALM_DOF] if grasp else 0.0)
     closing = {"palm": state[:, PALM_DOF:].mean(axis=1), "action": action[:, PALM_DOF:].mean(axis=1)}
     told = {"palm": state[:, :PALM_DOF], "action": goal}

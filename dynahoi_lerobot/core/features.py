@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.core.agent import Observation
-from dynahoi_lerobot.core.control_mode import CONTROL_MODES, JOINTS
+from dynahoi_lerobot.core.control_mode import CONTROL_MODES, GRASP, JOINTS
 from dynahoi_lerobot.core.conventions import EGO_VIEW, FINGER_DOF, FINGERS, HAND_DOF, HAND_NAMES, JOINT_NAMES
 from dynahoi_lerobot.core.rules import PHASES
 
@@ -313,6 +313,10 @@ def action_feature(control_mode: str) -> Feature:
     meaning += "home frame; closure of the hand, 0 (open) to 1"
     names = CONTROL_MODES[control_mode]
     return replace(feature, shape=(len(names),), names=names, unit="m, 1", meaning=meaning)
+
+
+TOLD_APART = (*FEATURES.values(), action_feature(GRASP))
+"""Every feature but images. Two share the key ``action``, two ``ENVIRONMENT_STATE``: their elements' names differ."""
 
 
 def frame_features(

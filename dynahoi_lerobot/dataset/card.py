@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import yaml
 
-from dynahoi_lerobot.core.control_mode import mode_of
+from dynahoi_lerobot.core.control_mode import CONTROL_MODES, GRASP, JOINTS
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.escaping import markdown
-from dynahoi_lerobot.core.features import FEATURES, IMAGE_PREFIX, Feature, action_feature, image_feature
-from dynahoi_lerobot.dataset.columns import LANGUAGE
+from dynahoi_lerobot.core.features import Feature
+from dynahoi_lerobot.dataset.columns import LANGUAGE, described_features
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import CARD_PATH, CODEBASE_VERSION, HISTOGRAM_PATH
 from dynahoi_lerobot.dataset.store import Store, frame_column
@@ -53,12 +53,13 @@ def write_card(store: Store, manifest: Manifest) -> None:
         path.write_text(histogram_svg(frame_column(store.root, key), store.features[key]["names"]), encoding="utf-8")
     metadata = METADATA | {"size_categories": [_size_category(manifest.frames)]}
     template = markdown_template(Path(__file__).with_suffix(".md").read_text())
-    (action_size,) = store.features["action"]["shape"]
+    described = described_features(store.features)
+    names = described["action"].names
     text = template.render(
         metadata=yaml.safe_dump(metadata, sort_keys=False).rstrip(),
         manifest=manifest,
-        control_mode=mode_of(action_size),
-        action_size=action_size,
+        control_mode=GRASP if names == CONTROL_MODES[GRASP] else JOINTS,
+        action_size=len(names),
         recipe=manifest.provenance.get("recipe", {}),
         yields=manifest.yields,
         provenance=yaml.safe_dump(manifest.provenance, sort_keys=False).replace("```", "'''"),
@@ -68,7 +69,7 @@ def write_card(store: Store, manifest: Manifest) -> None:
         motions=_counts(store, "motion"),
         objects=_counts(store, "object"),
         histograms=histograms,
-        frame_columns=[_frame_column(key, entry) for key, entry in store.features.items()],
+        frame_columns=[_frame_column(key, entry, described) for key, entry in store.features.items()],
         episode_columns=[_cells(f.key, f.dtype, _episode_shape(f), f.unit, f.meaning) for f in store.array_features],
     )
     (store.root / CARD_PATH).write_text(text, encoding="utf-8")
@@ -91,17 +92,9 @@ def _counts(store: Store, column: str) -> dict[str, tuple[int, int]]:
     return {name: (len(successes), sum(successes)) for name, successes in groups.items()}
 
 
-def _frame_column(key: str, entry: dict[str, Any]) -> list[str]:
-    if key in BOOKKEEPING_COLUMNS:
-        unit, meaning = BOOKKEEPING_COLUMNS[key]
-    else:
-        fitting = (f for f in FEATURES.values() if not f.on_request or list(f.shape) == list(entry["shape"]))
-        known = {feature.key: feature for feature in fitting}
-        if key == "action":
-            known[key] = action_feature(mode_of(entry["shape"][0]))
-        is_image = key.startswith(IMAGE_PREFIX)
-        feature = image_feature(key.removeprefix(IMAGE_PREFIX), entry["shape"][0]) if is_image else known[key]
-        unit, meaning = feature.unit, feature.meaning
+def _frame_column(key: str, entry: dict[str, Any], described: dict[str, Feature]) -> list[str]:
+    own = BOOKKEEPING_COLUMNS.get(key)
+    unit, meaning = own or (described[key].unit, described[key].meaning)
     return _cells(key, entry["dtype"], entry["shape"], unit, meaning)
 
 

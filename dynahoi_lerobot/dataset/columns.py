@@ -12,7 +12,7 @@ from PIL import Image
 from dynahoi_lerobot.core.control_mode import mode_of
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.features import FEATURES, IMAGE_PREFIX, Feature, action_feature, image_feature
+from dynahoi_lerobot.core.features import FEATURES, IMAGE_PREFIX, TOLD_APART, Feature, action_feature, image_feature
 from dynahoi_lerobot.core.rules import is_acting
 from dynahoi_lerobot.dataset.video import MAX_PIXELS, Encoding
 
@@ -40,6 +40,12 @@ def dataset_features(episode: Episode) -> tuple[Feature, ...]:
     told = FEATURES | {"action": action_feature(mode_of(episode.action.shape[1]))}
     arrays = (feature for feature in told.values() if not feature.recipe_decides)
     return (*images, *(feature for feature in arrays if getattr(episode, feature.name) is not None))
+
+
+def described_features(table: Features) -> dict[str, Feature]:
+    """Return the columns of the frame table that ``info.json`` describes by their keys, in order, without LeRobot's."""
+    views = {key: image_feature(key.removeprefix(IMAGE_PREFIX), table[key]["shape"][0]) for key in image_keys(table)}
+    return views | {f.key: f for f in TOLD_APART if f.key in table and table[f.key]["names"] == [*f.names]}
 
 
 def info_features(features: Sequence[Feature], encoding: Encoding, *, subtasks: bool = False) -> Features:
@@ -74,22 +80,14 @@ def content_arrays(episode: Episode, features: Sequence[Feature]) -> dict[str, n
     return {f.key: np.asarray(getattr(episode, f.name), f.dtype).reshape(len(episode), -1) for f in stored}
 
 
-def content_values(table: pa.Table) -> dict[str, Any]:
-    """Return the attributes of an Episode that its rows of the frame table hold.
+def content_values(table: pa.Table, described: Features) -> dict[str, Any]:
+    """Return the attributes of an Episode that its rows of the frame table hold, which ``info.json`` describes.
 
     Raises:
-        KeyError: if a column is missing that every dataset has.
+        KeyError: if a column is missing.
     """
-    stored = (f for f in FEATURES.values() if not (f.in_episode_table or f.derived))
-    held = (f for f in stored if holds(table, f) or not f.optional)
-    return {f.name: column_array(table, f.key)[:, ... if f.shape else 0] for f in held}
-
-
-def holds(table: pa.Table, feature: Feature) -> bool:
-    """Return whether a frame table has a feature; two of different widths share the key ``ENVIRONMENT_STATE``."""
-    if feature.key not in table.column_names:
-        return False
-    return not feature.on_request or table.schema.field(feature.key).type.list_size == feature.shape[0]
+    stored = (f for f in described_features(described).values() if not (f.is_image or f.derived))
+    return {f.name: column_array(table, f.key)[:, ... if f.shape else 0] for f in stored}
 
 
 def bookkeeping_arrays(frames: int, episode_index: int, first_index: int, task_index: int) -> dict[str, np.ndarray]:

@@ -296,7 +296,7 @@ class Store:
         keys = self.image_keys if images else []
         views = {key.removeprefix(IMAGE_PREFIX): self.images(row, table, key) for key in keys}
         with reading(self.root):
-            return Episode(images=views, **own_values(row), **content_values(table))
+            return Episode(images=views, **own_values(row), **content_values(table, self.features))
 
     def stored_episodes(self) -> Iterator[tuple[EpisodeRow, pa.Table]]:
         """Yield every episode's full row and its frames; each file is read once.

@@ -16,18 +16,13 @@ from av.container import OutputContainer
 from av.packet import Packet
 from av.video.stream import VideoStream
 
-from dynahoi_lerobot.core.control_mode import mode_of
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import (
-    FEATURES,
     IMAGE_PREFIX,
-    Feature,
-    action_feature,
     episode_features,
-    image_feature,
 )
 from dynahoi_lerobot.core.reading import open_table, read_object, read_rows, read_table
-from dynahoi_lerobot.dataset.columns import LANGUAGE
+from dynahoi_lerobot.dataset.columns import LANGUAGE, described_features
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, row_stats
 from dynahoi_lerobot.dataset.manifest import NOT_OURS, Manifest
 from dynahoi_lerobot.dataset.merge import Opened, episode_packets
@@ -118,7 +113,8 @@ class _Again(DatasetWriter):
             columns = (*draccus.decode(Recipe, plan["recipe"]).features(), *episode_features())
             encoding, subtasks = Encoding(**plan["encoding"]), plan["subtasks"]
         else:
-            columns, encoding, subtasks = _columns(store), store.encoding, LANGUAGE in described
+            columns = (*described_features(described).values(), *store.array_features)
+            encoding, subtasks = store.encoding, LANGUAGE in described
         super().__init__(root, columns, encoding, FileLimits(**plan.get("limits", {})), subtasks=subtasks)
         self.videos: set[str] = set()
         self._jumps: dict[int, dict[str, float]] = {}
@@ -157,15 +153,6 @@ def _jumps(images: np.ndarray) -> dict[str, float]:
         name: [level(share + moved) for moved in (-MOVED_SHARE, 0.0, MOVED_SHARE)] for name, share in SHARES.items()
     }
     return {name: max((here - low).max(), (high - here).max()) / 255 for name, (low, here, high) in around.items()}
-
-
-def _columns(store: Store) -> tuple[Feature, ...]:
-    """Return the columns that a dataset has by their names, in the writer's order."""
-    described, names = store.features, open_table(store.row_files()[0], ()).schema_arrow.names
-    views = (image_feature(key.removeprefix(IMAGE_PREFIX), described[key]["shape"][0]) for key in store.image_keys)
-    known = FEATURES | {"action": action_feature(mode_of(described["action"]["shape"][0]))}
-    fitting = (f for f in known.values() if not f.on_request or described.get(f.key, {}).get("shape") == [*f.shape])
-    return (*views, *(feature for feature in fitting if feature.key in described or feature.key in names))
 
 
 def _repeats(episode: Episode, index: int, seen: dict[bytes, int]) -> Iterator[str]:
