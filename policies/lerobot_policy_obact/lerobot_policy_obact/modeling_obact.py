@@ -367,17 +367,18 @@ class ObActPolicy(PreTrainedPolicy):
     def observe(self, batch: Batch) -> None:
         """Add a frame to the history without acting, for callers that ask for chunks now and then.
 
-        Who asks faster than the robot's clock ticks, as LeRobot's real-time chunking does, gets to see a frame twice: it
-        counts once. And who asks some time after the tick sees a frame of that tick: the wall clock counts in ticks.
+        A caller that asks faster than the robot's clock ticks, as LeRobot's real-time chunking does, hands over a frame
+        twice: it counts once. One that asks late hands over a frame of the last tick: the wall clock counts in ticks.
         """
         self.eval()
-        now_s = time.monotonic()
+        now_s, fps = time.monotonic(), self.config.rig.fps
         if self._frames and "timestamp" not in batch:
-            images = ((batch[key], self._images[key]) for key in self.config.cameras)
-            if all(torch.equal(new, old) for new, old in (*images, (self._state_of(batch), self._frames[-1].state[:, 0]))):
+            pairs = [(batch[key], self._images[key]) for key in self.config.cameras]
+            pairs.append((self._state_of(batch), self._frames[-1].state[:, 0]))
+            if all(torch.equal(new, old) for new, old in pairs):
                 return
-            ticks = round((now_s - self._began_s) * self.config.rig.fps)
-            now_s = max(self._began_s + ticks / self.config.rig.fps, self._now_s + 1 / self.config.rig.fps)
+            ticks = round((now_s - self._began_s) * fps)
+            now_s = max(self._began_s + ticks / fps, self._now_s + 1 / fps)
         self._note(batch, now_s)
 
     @torch.no_grad()
