@@ -25,8 +25,8 @@ from dynahoi_lerobot.rollout.recorder import Job
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.splits import kind_seed
-from dynahoi_lerobot.scene.servo import check_command
 from dynahoi_lerobot.world.batch import WorldBatch
+from dynahoi_lerobot.world.commands import check_command
 
 DEFAULT_RECIPE = Recipe(split="test")
 ONE_EPISODE_OPTION = "lerobot_new_rollout"
@@ -134,7 +134,7 @@ class DynahoiVectorEnv(VectorEnv):
         self._batch = WorldBatch(self.recipe, num_envs, threads)
         self._session = Session(self._batch, record_images=False)
         self.single_observation_space = observation_space(self.recipe.features())
-        self.single_action_space = spaces.Box(*self._batch.action_limits(), dtype=np.float32)
+        self.single_action_space = spaces.Box(*self._batch.commands.limits(), dtype=np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._numbers = np.zeros(num_envs, int)  # of the episodes, within split and kind

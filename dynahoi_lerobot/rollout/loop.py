@@ -71,19 +71,15 @@ class Session:
             ValueError: for a wrong shape or a value that is not finite; nothing has moved then.
         """
         assert self.observation is not None, "observe before the first step"
-        checked, ids = self.batch.as_commands(commands, self.observation), self.playing
         columns = frame_columns(self.batch, self.observation)
         images = self.observation.images if self.record_images else {}
-        for i, recorder in self._recorders.items():
-            recorder.add_frame(columns, i, images)
-        self.batch.step(checked[ids], ids)
-        if labels is not None:
-            labels = self.batch.as_labels(labels, self.observation)
-        for i, recorder in self._recorders.items():
-            label = None if labels is None else labels[i]
-            recorder.add_action(self.batch.given[i], self.batch.executed[i], label)
+        self.batch.step(commands, self.playing)
+        given = self.batch.given.copy()
+        wanted = given if labels is None else self.batch.commands.labels(labels, self.observation.state)
+        columns |= {"action": wanted, "given_action": given, "executed_action": self.batch.executed.copy()}
         terminated, full = np.zeros((2, self.batch.size), bool)
         for i, recorder in self._recorders.items():
+            recorder.add(columns, i, images)
             terminated[i], full[i] = recorder.settled(self.batch.rule), recorder.full
         return terminated, full & ~terminated
 
