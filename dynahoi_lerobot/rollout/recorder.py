@@ -64,7 +64,7 @@ JUDGED = ("state", "localized", "palm_distance", *CONTACTS)
 """Columns from which the capture rule reads its verdict."""
 
 
-def frame_columns(batch: WorldBatch, observation: Observation) -> dict[str, np.ndarray]:
+def measure_frame(batch: WorldBatch, observation: Observation) -> dict[str, np.ndarray]:
     """Return what is recorded of all N worlds at this frame besides images, (N, ...) each, by name in ``Episode``."""
     features = frame_features(0, contact_sensors=batch.rule.uses_contact_sensors)
     columns = {feature.name: getattr(observation, feature.name) for feature in features if feature.observed}
@@ -88,7 +88,7 @@ class WorldRecorder:
         """Record a frame of world ``i``, each array of all worlds.
 
         Args:
-            columns: its ``frame_columns``; ``action``, ``given_action`` and ``executed_action`` of the step from it.
+            columns: what was measured, and ``action``, ``given_action`` and ``executed_action`` of the step from it.
             i: the world.
             images: (N, H, W, 3) uint8 by view, if any.
         """

@@ -11,7 +11,6 @@ from dynahoi_lerobot.core.conventions import HAND_DOF, PALM_DOF
 from dynahoi_lerobot.core.features import TRUTH
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES, one_hot_phase
 from dynahoi_lerobot.core.spec import EpisodeSpec
-from dynahoi_lerobot.motions import PrescribedMotion
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.scene.scene import Scene, compile_scene
 from dynahoi_lerobot.scene.world_fields import WorldFields
@@ -236,13 +235,7 @@ class WorldBatch:
 
     def _write(self, i: int, spec: EpisodeSpec) -> None:
         """Fill row ``i`` with an episode that is about to begin."""
-        collides_with = self.rule.collisions(spec.motion)
-        force_w = self._fields.write_world(i, spec.motion, spec.target, spec.horizon_frames, collides_with)
-        self._physics.drive(i, force_w)
-        if isinstance(spec.motion, PrescribedMotion):
-            self._fields.turn_target(i, spec.yaw_rad, spec.spin_rad_s)
-        self._fields.write_appearance(i, spec.appearance)
-        self._fields.place_side_camera(i, spec.home_pos_w)
+        self._physics.drive(i, self._fields.write_episode(i, spec, self.rule.collisions(spec.motion)))
         # rounded as commands are, or the hand would creep and, by rounding, disturb what slides or rests
         rest = np.concatenate([np.zeros(PALM_DOF), self.scene.hand.open_joints()]).astype(np.float32)
         self._origin[i, :PALM_DOF] = spec.home_pos_w
