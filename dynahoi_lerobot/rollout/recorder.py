@@ -1,6 +1,6 @@
 """Recording one world: copying its frames while it is played, freezing them into an Episode when it ends."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Self
 
@@ -47,17 +47,8 @@ class Job:
         return cls(index, spec, spec.window_frames + spec.length_frames + 1, attempt, stop_settled=True)
 
 
-MEASURED: dict[str, Callable[[WorldBatch], np.ndarray]] = {
-    "fingertips": lambda batch: batch.fingertips(),
-    "target_pose": lambda batch: batch.target_pose,
-    "target_velocity": lambda batch: batch.target_velocity,
-    "target_contacts": lambda batch: batch.touching(),
-    "palm_distance": lambda batch: batch.palm_distance.copy(),
-    "fingertip_distance": lambda batch: np.maximum(batch.tip_distance().min(axis=1), 0.0),
-    "localized": lambda batch: batch.localized.copy(),
-}
-"""How each privileged feature of a frame is measured, (N, ...) of all worlds; the others are in the observation."""
-
+TOUCH_M = 0.005
+"""A fingertip this close touches the target: the sphere-overlap test of Appendix "Data collection"."""
 CONTACTS = ("finger_force_n", "palm_force_n", "others")
 """Fields of ``TargetContacts``, which the capture rule judges; an episode keeps the fingers' forces as ``touch``."""
 JUDGED = ("state", "localized", "palm_distance", *CONTACTS)
@@ -68,10 +59,21 @@ def measure_frame(batch: WorldBatch, observation: Observation) -> dict[str, np.n
     """Return what is recorded of all N worlds at this frame besides images, (N, ...) each, by name in ``Episode``."""
     features = frame_features(0, contact_sensors=batch.rule.uses_contact_sensors)
     columns = {feature.name: getattr(observation, feature.name) for feature in features if feature.observed}
-    columns |= {name: measure(batch) for name, measure in MEASURED.items()} | {"qpos": batch.qpos}
     if observation.sighting is not None:
         columns["sighting"] = observation.sighting
-    return columns | {name: getattr(batch.contacts, name).copy() for name in CONTACTS}
+    contacts, tips_m = batch.contacts, batch.tip_distance()
+    touching = contacts.finger_force_n > 0 if batch.rule.uses_contact_sensors else tips_m <= TOUCH_M
+    return columns | {
+        "fingertips": batch.fingertips(),
+        "target_pose": batch.target_pose,
+        "target_velocity": batch.target_velocity,
+        "target_contacts": touching,
+        "palm_distance": batch.palm_distance.copy(),
+        "fingertip_distance": np.maximum(tips_m.min(axis=1), 0.0),
+        "localized": batch.localized.copy(),
+        "qpos": batch.qpos,
+        **{name: getattr(contacts, name).copy() for name in CONTACTS},
+    }
 
 
 @dataclass

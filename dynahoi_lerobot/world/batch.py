@@ -18,9 +18,6 @@ from dynahoi_lerobot.world.commands import Commands
 from dynahoi_lerobot.world.physics import Physics
 from dynahoi_lerobot.world.sensors import KINEMATICS, Cameras, Fingertips, Stage
 
-TOUCH_M = 0.005
-"""A fingertip this close touches the target: the sphere-overlap test of Appendix "Data collection"."""
-
 
 class WorldBatch:
     """N simulated worlds that share one compiled model and one clock rate, each at its own frame of its own episode.
@@ -92,7 +89,6 @@ class WorldBatch:
         for i, spec in zip(chosen, specs, strict=True):
             self._write(int(i), spec)
         self._fields.finish(chosen)
-        self._fingertips.forget()
         distance = np.linalg.norm(self.target_pose[:, :3] - self.state[:, :PALM_DOF], axis=1)
         self._physics.reset(chosen, distance[chosen])
 
@@ -107,7 +103,7 @@ class WorldBatch:
         self._fields.qpos[:, self.scene.hand_qpos] = state + self._origin
         self._fields.qpos[:, first : first + 7] = target_pose
         self._fields.qpos[:, first : first + PALM_DOF] += self.home_pos_w
-        self._update_kinematics(np.arange(self.size))
+        self._batch.forward(stage=KINEMATICS)
 
     def step(self, actions: np.ndarray, ids: np.ndarray | None = None) -> None:
         """Advance worlds ``ids`` (default: all) by one control step of 0.05 s.
@@ -129,7 +125,7 @@ class WorldBatch:
         set_points = self.commands.follow(chosen, wanted, self.accepting[chosen]) + self._origin[chosen, None]
         self._physics.advance(chosen, set_points, self.frame[chosen], self.acting[chosen])
         self.frame[chosen] += 1
-        self._update_kinematics(chosen)
+        self._batch.forward(chosen, stage=KINEMATICS)
 
     @property
     def acting(self) -> np.ndarray:
@@ -175,12 +171,6 @@ class WorldBatch:
     def fingertips(self) -> np.ndarray:
         """Return (N, 30), position [m], home frame, and rotation vector [rad] of each fingertip."""
         return self._fingertips.poses(self.home_pos_w)
-
-    def touching(self) -> np.ndarray:
-        """Return (N, 5) bool, the fingers that touch the target, or would if they collided."""
-        if self.rule.uses_contact_sensors:
-            return self.contacts.finger_force_n > 0
-        return self.tip_distance() <= TOUCH_M
 
     def observe(self, *, images: bool = True, ids: np.ndarray | None = None) -> Observation:
         """Return what a policy may see.
@@ -242,11 +232,6 @@ class WorldBatch:
         self.commands.begin(i, rest, self._origin[i])
         self._fields.qpos[i, self.scene.hand_qpos] = rest + self._origin[i]
         self.specs[i] = spec
-
-    def _update_kinematics(self, ids: np.ndarray) -> None:
-        """Recompute the poses of worlds ``ids`` (n,)."""
-        self._fingertips.forget()
-        self._batch.forward(ids, stage=KINEMATICS)
 
     @property
     def _windows(self) -> np.ndarray:

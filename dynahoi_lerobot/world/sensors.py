@@ -232,11 +232,6 @@ class Fingertips:
         self._scene, self._fields = scene, fields
         self._geom_pos, self._geom_mat = batch.bind("geom_xpos"), batch.bind("geom_xmat")
         self._site_pos, self._site_mat = batch.bind("site_xpos"), batch.bind("site_xmat")
-        self._distance: np.ndarray | None = None
-
-    def forget(self) -> None:
-        """Drop the measured distances, because something has moved."""
-        self._distance = None
 
     def poses(self, origin_w: np.ndarray) -> np.ndarray:
         """Return (N, 30), position [m] and rotation vector [rad] of each fingertip.
@@ -249,15 +244,7 @@ class Fingertips:
         return np.concatenate([position, matrix_to_rotvec(rotation)], axis=-1).reshape(len(position), -1)
 
     def target_distance(self) -> np.ndarray:
-        """Return (N, 5), signed distance of each fingertip to the target's surface [m], negative inside.
-
-        Experts, recordings and contacts ask for the same one, so it is kept until ``forget``.
-        """
-        if self._distance is None:
-            self._distance = self._measure()
-        return self._distance
-
-    def _measure(self) -> np.ndarray:
+        """Return (N, 5), signed distance of each fingertip to the target's surface [m], negative inside."""
         tips = self._site_pos[:, self._scene.tip_sites]  # (N, 5, 3)
         nearest = np.full((len(tips), len(FINGERS)), np.inf)
         alpha, sizes = self._fields.fields["geom_rgba"][..., 3], self._fields.fields["geom_size"]
