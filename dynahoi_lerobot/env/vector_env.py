@@ -26,7 +26,6 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.splits import kind_seed
 from dynahoi_lerobot.world.batch import WorldBatch
-from dynahoi_lerobot.world.commands import check_command
 
 DEFAULT_RECIPE = Recipe(split="test")
 ONE_EPISODE_OPTION = "lerobot_new_rollout"
@@ -193,13 +192,13 @@ class DynahoiVectorEnv(VectorEnv):
         if np.shape(actions)[1:] != self.single_action_space.shape:
             raise ValueError(f"action must have shape {self.action_space.shape}, got {np.shape(actions)}")
         if self._inference is not None:
-            actions = check_command(actions, self.num_envs)
-            commands = self._inference.answer(actions, before.state.astype(np.float64))
-            if commands is None:
+            commands = self._batch.commands.read(actions, before.state)
+            due = self._inference.answer(commands, before.state.astype(np.float64))
+            if due is None:
                 terminated, truncated = np.zeros((2, self.num_envs), bool)
                 infos = {"is_success": self._success.copy()}
                 return as_gym(before), np.zeros(self.num_envs), terminated, truncated, infos
-            actions = commands
+            actions = due
         terminated, truncated = self._session.step(actions)
         ending = terminated | truncated
         infos = self._infos(ending)

@@ -67,8 +67,8 @@ class Commands:
         """
         count = len(self.given)
         if self._mode == JOINTS or np.shape(actions)[1:] == (HAND_DOF,):
-            return check_command(actions, count)
-        given = check_command(actions, count, len(CONTROL_MODES[GRASP]))
+            return _checked(actions, count)
+        given = _checked(actions, count, len(CONTROL_MODES[GRASP]))
         return from_grasp(given, _as_observed(state), *self._open_and_closed)
 
     def labels(self, goals: np.ndarray, state: np.ndarray) -> np.ndarray:
@@ -137,14 +137,9 @@ class Commands:
         return previous[:, None] + progress * change + self._lead_s * change / CONTROL_DT
 
 
-def check_command(command: np.ndarray, count: int, size: int = HAND_DOF) -> np.ndarray:
-    """Return ``command`` as (count, size) float64.
-
-    Raises:
-        ValueError: if the shape is wrong, or a value is not a real number or not finite; the message names the world,
-            the key and the value.
-    """
-    given = np.asarray(command)
+def _checked(actions: np.ndarray, count: int, size: int = HAND_DOF) -> np.ndarray:
+    """(count, size) float64; a ValueError for what ``read`` refuses names the world, the index and the value."""
+    given = np.asarray(actions)
     if given.dtype.kind not in "fiu":
         raise ValueError(f"action must hold real numbers, got dtype {given.dtype}")
     values = given.astype(np.float64)
