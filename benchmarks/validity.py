@@ -4,7 +4,6 @@ python benchmarks/validity.py [--episodes 220] [--control standard late] [--hand
 python benchmarks/validity.py --episodes 1000 --control standard late unlimited --json docs/figures/baselines.json
 python benchmarks/validity.py --search 1760 [--search-class unlimited] [--homes 8] [--save FILE]
 python benchmarks/validity.py --episodes 1000 --baselines --sightless 1760
-python benchmarks/validity.py --baselines hold --episodes 1000 --sightless 1760
 
 Brackets are Wilson's 95 % intervals. --search looks for a better fixed path on that many episodes of train and prints
 what it would score on as many episodes that it has not seen and on the split. --homes K looks for K paths instead, one
