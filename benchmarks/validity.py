@@ -3,10 +3,12 @@
 python benchmarks/validity.py [--episodes 220] [--control standard late] [--hand opposed] [--json FILE]
 python benchmarks/validity.py --episodes 1000 --control standard late unlimited --json docs/figures/baselines.json
 python benchmarks/validity.py --search 1760 [--search-class unlimited] [--homes 8] [--save FILE]
+python benchmarks/validity.py --episodes 1000 --baselines --sightless 1760
 
 Brackets are Wilson's 95 % intervals. --search looks for a better fixed path on that many episodes of train and prints
 what it would score on as many episodes that it has not seen and on the split. --homes K looks for K paths instead, one
 for each cluster of homes. --save writes what was found, in the format of experts/blind_path.csv or nearest_home.csv.
+--sightless trains regressors on so many episodes of train, on what a policy sees but pictures.
 """
 
 import argparse
@@ -14,13 +16,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from support.home_clusters import cluster, hits_by_cluster, homes_of, nearest
+from support.fixed_paths import cluster, hits_by_cluster, homes_of, nearest, relative_paths, search_path
 from support.options import benchmark_parser, pinned_benchmark, write_numbers
-from support.path_search import relative_paths, search_path
+from support.sightless import FINENESS, FRAMES, WIDTH, Rate, rate, sightless
 
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES
 from dynahoi_lerobot.core.spec import EpisodeSpec
-from dynahoi_lerobot.evaluate.summary import wilson
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.metrics import METRICS
@@ -33,28 +34,28 @@ from dynahoi_lerobot.world.batch import WorldBatch
 
 BASELINES = ("hold", "blind_path", "nearest_home", "pursuit", "constant_velocity", "constant_acceleration", "intercept")
 WORLDS = 64
-SEARCHED_FRAMES, WIDTH, FINENESS = 80, 64, 2
-Rate = dict[str, float]
 
 
 def main() -> None:
-    parser = benchmark_parser(__doc__, episodes=2, control=["late"], search=4)
+    parser = benchmark_parser(__doc__, episodes=22, control=["late"], baselines=["hold"], search=4, sightless=44)
     parser.add_argument("--episodes", type=int, default=220)
     parser.add_argument("--split", default="test")
     parser.add_argument("--control", nargs="+", choices=list(CONTROL_CLASSES), default=["standard", "late"])
-    parser.add_argument("--baselines", nargs="+", choices=EXPERTS.names(), default=list(BASELINES))
+    parser.add_argument("--baselines", nargs="*", choices=EXPERTS.names(), default=list(BASELINES))
     parser.add_argument("--hand", choices=HANDS.names(), default="capsule", help="that plays the baselines")
     parser.add_argument("--search", type=int, default=0, help="episodes of train to search a fixed path on; 0 for none")
     parser.add_argument("--search-class", choices=list(CONTROL_CLASSES), default="standard", help="whose speed it has")
     parser.add_argument("--homes", type=int, default=1, help="search a path for each of so many clusters of homes")
     parser.add_argument("--save", type=Path, help="file for what was found")
+    parser.add_argument("--sightless", type=int, default=0, help="episodes that regressors learn from; 0 for none")
     args = parser.parse_args()
     specs = sample_specs(Recipe(split=args.split), range(args.episodes), threads=0)
     found = search(args, specs) if args.search else {}
+    learned = sightless(sample_specs(Recipe(), range(args.sightless), threads=0), specs) if args.sightless else {}
     tables = {
         control: {name: play(control, name, specs, args.hand) for name in args.baselines} for control in args.control
     }
-    write_numbers(args, benchmark=pinned_benchmark(), classes=tables, found=found)
+    write_numbers(args, benchmark=pinned_benchmark(), classes=tables, found=found, sightless=learned)
 
 
 def play(control: str, name: str, specs: Sequence[EpisodeSpec], hand: str) -> dict[str, Rate]:
@@ -75,12 +76,6 @@ def play(control: str, name: str, specs: Sequence[EpisodeSpec], hand: str) -> di
     return rates
 
 
-def rate(outcomes: Sequence[bool]) -> Rate:
-    """Return a share and its interval [%]."""
-    low, high = wilson(sum(outcomes), len(outcomes))
-    return {"value": 100 * sum(outcomes) / len(outcomes), "low": 100 * low, "high": 100 * high, "n": len(outcomes)}
-
-
 def search(args: argparse.Namespace, specs: Sequence[EpisodeSpec]) -> dict[str, Rate]:
     """Search fixed paths; print and return how many episodes they meet of those searched, of others, and of the split.
 
@@ -92,7 +87,7 @@ def search(args: argparse.Namespace, specs: Sequence[EpisodeSpec]) -> dict[str, 
     table = search_paths(parts["searched"], args.homes, speed_m_s)
     rates = {}
     for label, part in parts.items():
-        met = hits_by_cluster(homes_of(part), relative_paths(part, SEARCHED_FRAMES), table)
+        met = hits_by_cluster(homes_of(part), relative_paths(part, FRAMES), table)
         rates[label] = rate(met.tolist())
         print("fixed path on {:12s} {value:5.1f} [{low:5.1f}, {high:5.1f}]".format(label, **rates[label]))
     if args.save:
@@ -104,7 +99,7 @@ def search(args: argparse.Namespace, specs: Sequence[EpisodeSpec]) -> dict[str, 
 
 def search_paths(specs: Sequence[EpisodeSpec], clusters: int, speed_m_s: float) -> tuple[np.ndarray, np.ndarray]:
     """Return (C, 3) the centres of clusters of homes [m], world, and (C, K, 3) the path found for each."""
-    targets, homes_w = relative_paths(specs, SEARCHED_FRAMES), homes_of(specs)
+    targets, homes_w = relative_paths(specs, FRAMES), homes_of(specs)
     centres = cluster(homes_w, clusters)
     labels = nearest(homes_w, centres)
     return centres, np.stack([search_path(targets[labels == k], speed_m_s, WIDTH, FINENESS) for k in range(clusters)])

@@ -2,13 +2,15 @@
 
 ``images/catch.gif`` shows two episodes of ``test`` played by ObAct, one caught and one narrowly missed;
 ``images/held.gif`` shows three of the contact track, of which it holds two;
-``images/<category>.gif`` shows the expert catching a target of every kind of motion. All are seen by the hand's camera.
+``images/<category>.gif`` shows the expert catching a target of every kind of motion, ``images/contact_sheet.jpg`` the
+start, the control start and the catch of each. All are seen by the hand's camera.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
 
@@ -18,6 +20,7 @@ from dynahoi_lerobot.evaluate.arguments import make_actor
 from dynahoi_lerobot.evaluate.gif import BORDERS, phases_of, write_gif
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.motions import CATEGORIES, MOTIONS
+from dynahoi_lerobot.objects import OBJECTS
 from dynahoi_lerobot.rollout.loop import ActionLog, evaluate, replay
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -31,6 +34,8 @@ PLAYED_PX, SHOWN_PX, HELD_PX, KIND_PX = 96, 256, 192, 128
 SKIP = 2  # every second frame is shown, at half the rate
 AFTER_CATCH, AFTER_MISS = 12, 3  # frames that are shown beyond the catch or the closest approach
 BORDER_PX = 4
+TILE_PX, LABEL_PX, COLUMNS = 96, 12, 4  # of the contact sheet
+JPEG = [cv2.IMWRITE_JPEG_QUALITY, 85, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
 
 
 def catch() -> None:
@@ -70,6 +75,32 @@ def motions() -> None:
         write_gif(IMAGES / f"{category}.gif", side_by_side(episodes), fps=CONTROL_HZ / SKIP)
 
 
+def contact_sheet() -> None:
+    """Draw the expert on every kind of motion and every object, in still images."""
+    recipe, specs = Recipe(split="test", image_size=TILE_PX), []
+    unused, kinds = set(recipe.object_names), recipe.motion_names
+    suited = {kind: [name for name in sorted(unused) if MOTIONS[kind].suits(OBJECTS[name])] for kind in kinds}
+    for number, kind in enumerate(sorted(kinds, key=lambda kind: len(suited[kind]))):
+        fresh = [name for name in suited[kind] if name in unused] or suited[kind]
+        unused.discard(name := fresh[number % len(fresh)])
+        specs += sample_specs(replace(recipe, motions=(kind,), objects=(name,)), [number])
+    episodes = list(evaluate(WorldBatch(recipe, 11), EXPERTS[recipe.expert](), specs, images=True))
+    strips = [_strip(e) for e in sorted(episodes, key=lambda episode: (episode.meta.category, episode.meta.motion))]
+    strips += [np.zeros_like(strips[0])] * (-len(strips) % COLUMNS)
+    sheet = np.vstack([np.hstack(strips[i : i + COLUMNS]) for i in range(0, len(strips), COLUMNS)])
+    cv2.imwrite(str(IMAGES / "contact_sheet.jpg"), cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR), JPEG)
+
+
+def _strip(episode: Episode) -> np.ndarray:
+    """Return the label and three moments of an episode, (H, W, 3) uint8 RGB."""
+    caught = episode.first_localized or len(episode) - 1
+    moments = (0, episode.meta.window_frames, min(caught + 2, len(episode) - 1))
+    images = np.hstack([episode.images[EGO_VIEW][frame] for frame in moments])
+    strip = cv2.copyMakeBorder(images, LABEL_PX, 4, 0, 4, cv2.BORDER_CONSTANT, value=(0, 0, 0))
+    label = f"{episode.meta.motion}, {episode.meta.object}"
+    return cv2.putText(strip, label, (2, LABEL_PX - 3), cv2.FONT_HERSHEY_SIMPLEX, 0.35, (255, 255, 255))
+
+
 def side_by_side(episodes: Sequence[Episode]) -> np.ndarray:
     """Return (T, H, n W, 3), the episodes until shortly after the catch; the shorter ones then stand still."""
     clips = [_bordered(episode)[: _last(episode) : SKIP] for episode in episodes]
@@ -102,3 +133,4 @@ if __name__ == "__main__":
     catch()
     contact()
     motions()
+    contact_sheet()

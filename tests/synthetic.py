@@ -11,9 +11,8 @@ from dynahoi_lerobot.core.rules import one_hot_phase
 from dynahoi_lerobot.evaluate.results import Results, RunInfo
 from dynahoi_lerobot.motions.straight_line import Constant
 from dynahoi_lerobot.objects.primitives import Primitive, as_table, extent, solid_inertia
-from dynahoi_lerobot.rollout.recorder import next_frames
+from dynahoi_lerobot.rollout.recorder import TOUCH_M, next_frames
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
-from dynahoi_lerobot.world.batch import TOUCH_M
 
 REFERENCE = np.full(15, 1.0, np.float32)
 BALL = (Primitive("sphere", (0.02,)),)

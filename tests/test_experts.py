@@ -78,7 +78,7 @@ def test_every_expert_is_deterministic_and_commands_every_joint(name: str, specs
         np.testing.assert_array_equal(commands, EXPERTS[name]().act(world))
         assert commands.shape == (4, 18)
         assert np.isfinite(commands).all()
-        batch.step(commands[:3], np.arange(3))
+        batch.step(commands, np.arange(3))
 
 
 @pytest.mark.parametrize(

@@ -1,15 +1,22 @@
-"""A regressor on everything that a policy sees but pictures: does a number or a word give the meeting point away?"""
+"""A regressor on everything that a policy sees but pictures: does a number or a word give the meeting point away?
+
+It is given what policies observe, in the home frame, and, to show what that frame hides, the home's position in the
+world as well.
+"""
 
 from collections.abc import Sequence
 
 import numpy as np
 import torch
-from support.path_search import hits_along
+from support.fixed_paths import hits_along, homes_of, relative_paths, search_path
 from torch import nn
 
 from dynahoi_lerobot.core.agent import Observation
 from dynahoi_lerobot.core.conventions import CONTROL_DT, MIN_WINDOW_FRAMES
+from dynahoi_lerobot.core.rules import CONTROL_CLASSES
 from dynahoi_lerobot.core.spec import EpisodeSpec
+from dynahoi_lerobot.evaluate.summary import wilson
+from dynahoi_lerobot.experts.baselines import fixed_path
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.world.batch import WorldBatch
 
@@ -19,6 +26,69 @@ POINT_SCALE_M, TIME_SCALE_S = 0.1, 0.5
 """Units in which errors of point and time are weighed against each other."""
 LEAST_SPREAD = 1e-4
 """A number that varies less [m, rad] tells nothing, and its rounding must not be blown up."""
+SPEED_M_S = CONTROL_CLASSES["standard"].palm_speed_m_s
+FRAMES, WIDTH, FINENESS = 80, 64, 2
+"""Of the paths that are searched: length, and see ``search_path``."""
+Rate = dict[str, float | list[float]]
+
+
+def sightless(train: Sequence[EpisodeSpec], split: Sequence[EpisodeSpec]) -> dict[str, Rate]:
+    """Print and return what is met in ``split`` by regressors and fixed paths that have seen ``train``.
+
+    R2 is the share of the variance of the meeting point (x, y, z) and time that a regressor explains, S_loc that of a
+    hand that goes there straight at the standard limit, and waits. Paths by motion are the best fixed paths of each
+    kind, for the episodes whose instruction names the kind. Only the first observations are simulated.
+    """
+    table = {f"regressor, {name}": regression(*inputs, train, split) for name, inputs in variants(train, split).items()}
+    for control in ("standard", "unlimited"):
+        table[f"blind_path, {control}"] = rate(hits_along(fixed_path(control), relative_paths(split, FRAMES)).tolist())
+    table["paths by motion"] = rate(paths_by_motion(train, split).tolist())
+    for name, row in table.items():
+        told = f"  R2 {np.round(row['R2'], 2)}" if "R2" in row else ""
+        print(f"{name:34s} S_loc {row['value']:5.1f} [{row['low']:5.1f}, {row['high']:5.1f}]{told}")
+    return table
+
+
+def rate(outcomes: Sequence[bool]) -> Rate:
+    """Return a share and its interval [%]."""
+    low, high = wilson(sum(outcomes), len(outcomes))
+    return {"value": 100 * sum(outcomes) / len(outcomes), "low": 100 * low, "high": 100 * high, "n": len(outcomes)}
+
+
+def variants(train: Sequence[EpisodeSpec], split: Sequence[EpisodeSpec]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Return the inputs of each regressor, (N, D) of training and of the split."""
+    vocabulary = vocabulary_of(train)
+    numbers, words, homes = (
+        (part(train), part(split)) for part in (numbers_seen, lambda s: words_seen(s, vocabulary), homes_of)
+    )
+    chosen = {
+        "numbers": (numbers,),
+        "numbers and words": (numbers, words),
+        "numbers and home": (numbers, homes),
+        "numbers, words and home": (numbers, words, homes),
+    }
+    return {
+        name: (np.hstack([p[0] for p in parts]), np.hstack([p[1] for p in parts])) for name, parts in chosen.items()
+    }
+
+
+def regression(seen: np.ndarray, asked: np.ndarray, train: Sequence[EpisodeSpec], split: Sequence[EpisodeSpec]) -> Rate:
+    """Train on (N, D) inputs ``seen``; return what is explained and met of those of the split, (M, D) ``asked``."""
+    predicted, true = predict(fit(seen, meetings(train)), asked), meetings(split)
+    explained = 1 - ((predicted - true) ** 2).sum(axis=0) / ((true - true.mean(axis=0)) ** 2).sum(axis=0)
+    return {**rate(hits_at(predicted, relative_paths(split, FRAMES), SPEED_M_S).tolist()), "R2": explained.tolist()}
+
+
+def paths_by_motion(train: Sequence[EpisodeSpec], split: Sequence[EpisodeSpec]) -> np.ndarray:
+    """Return (M,) bool: what the best path of its kind meets, or the fixed path where no instruction names the kind."""
+    targets, searched = relative_paths(split, FRAMES), relative_paths(train, FRAMES)
+    met = hits_along(fixed_path("standard"), targets)
+    kinds = np.array([spec.motion.name for spec in train])
+    for kind in sorted(set(kinds)):
+        path = search_path(searched[kinds == kind], SPEED_M_S, WIDTH, FINENESS)
+        told = np.array([spec.motion.name == kind and spec.motion.phrase in spec.task for spec in split])
+        met[told] = hits_along(path, targets[told])
+    return met
 
 
 def numbers_seen(specs: Sequence[EpisodeSpec]) -> np.ndarray:

@@ -39,12 +39,13 @@ class StraightforwardEnv(gym.Env):
         """Compile the model; with ``shadows`` it is drawn as MuJoCo draws by default, multisampled and with shadows."""
         self.recipe, self._shadows = Recipe(split=split, image_size=image_size), shadows
         self._writer = WorldBatch(Recipe(), 1, threads=1)  # writes an episode's numbers into a model
-        self._scene, self._servo = self._writer.scene, self._writer.servo
+        self._scene, self._commands = self._writer.scene, self._writer.commands
+        self._limits_w = np.stack([self._commands.low, self._commands.high])
         self.model = self._writer._batch.get_model(0)
         self.data = mujoco.MjData(self.model)
         self._renderer: mujoco.Renderer | None = None
         self.observation_space = observation_space(frame_features(image_size))
-        self.action_space = spaces.Box(*self._writer.command_limits(), dtype=np.float32)
+        self.action_space = spaces.Box(*self._commands.limits(), dtype=np.float32)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict, dict]:
         super().reset(seed=seed)
@@ -68,10 +69,10 @@ class StraightforwardEnv(gym.Env):
         acting = self.frame >= self.episode.window_frames
         previous = self.executed
         if acting:
-            self.executed = self._servo.within_reach(
-                np.asarray(action, float)[None], previous[None], self.origin[None]
+            self.executed = self._commands.within_reach(
+                np.asarray(action, float)[None], previous[None], *(self._limits_w - self.origin)[:, None]
             )[0]
-        set_points = self._servo.set_points(self.executed[None], previous[None])[0] + self.origin
+        set_points = self._commands.set_points(self.executed[None], previous[None])[0] + self.origin
         dof = self._scene.target_dof
         for substep in range(SUBSTEPS):
             self.data.ctrl[:] = set_points[substep]

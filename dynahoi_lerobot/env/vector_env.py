@@ -25,7 +25,6 @@ from dynahoi_lerobot.rollout.recorder import Job
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.splits import kind_seed
-from dynahoi_lerobot.scene.servo import check_command
 from dynahoi_lerobot.world.batch import WorldBatch
 
 DEFAULT_RECIPE = Recipe(split="test")
@@ -134,7 +133,7 @@ class DynahoiVectorEnv(VectorEnv):
         self._batch = WorldBatch(self.recipe, num_envs, threads)
         self._session = Session(self._batch, record_images=False)
         self.single_observation_space = observation_space(self.recipe.features())
-        self.single_action_space = spaces.Box(*self._batch.action_limits(), dtype=np.float32)
+        self.single_action_space = spaces.Box(*self._batch.commands.limits(), dtype=np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._numbers = np.zeros(num_envs, int)  # of the episodes, within split and kind
@@ -193,13 +192,13 @@ class DynahoiVectorEnv(VectorEnv):
         if np.shape(actions)[1:] != self.single_action_space.shape:
             raise ValueError(f"action must have shape {self.action_space.shape}, got {np.shape(actions)}")
         if self._inference is not None:
-            actions = check_command(actions, self.num_envs)
-            commands = self._inference.answer(actions, before.state.astype(np.float64))
-            if commands is None:
+            commands = self._batch.commands.read(actions, before.state)
+            due = self._inference.answer(commands, before.state.astype(np.float64))
+            if due is None:
                 terminated, truncated = np.zeros((2, self.num_envs), bool)
                 infos = {"is_success": self._success.copy()}
                 return as_gym(before), np.zeros(self.num_envs), terminated, truncated, infos
-            actions = commands
+            actions = due
         terminated, truncated = self._session.step(actions)
         ending = terminated | truncated
         infos = self._infos(ending)

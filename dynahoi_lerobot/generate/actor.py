@@ -17,7 +17,7 @@ from dynahoi_lerobot.evaluate.checkpoint import CONFIG, PolicyError, checked_fol
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.sampling.fingerprint import hash_packages
 
-ACTING = "evaluate/policy_agent.py"
+POLICY_SOURCE = "evaluate/policy_agent.py"
 """Source between a policy and the worlds; no expert passes there."""
 PARTS = (CONFIG, "policy_*.json", "*.safetensors")
 """Files of a checkpoint from which a policy and its processors are loaded."""
@@ -107,6 +107,6 @@ def runtime(policy: PolicyAgent) -> str:
     import torch
 
     sources = hashlib.sha256(hash_packages({policy.package} - {"lerobot"}))
-    sources.update((Path(dynahoi_lerobot.__file__).parent / ACTING).read_bytes())
+    sources.update((Path(dynahoi_lerobot.__file__).parent / POLICY_SOURCE).read_bytes())
     capability = torch.backends.cpu.get_cpu_capability()
     return f"torch {torch.__version__}, lerobot {lerobot.__version__}, {capability}, {sources.hexdigest()[:16]}"

@@ -117,7 +117,7 @@ class LiveWorld:
         Raises:
             ValueError: for a wrong shape or a value that is not finite.
         """
-        given = self._session.batch.as_commands(np.asarray(command, np.float64)[None], self._seen)[0]
+        given = self.batch.commands.read(np.asarray(command, np.float64)[None], self._seen.state)[0]
         if self._started_s is None:
             self._started_s = self._clock()
         self.catch_up()

@@ -14,7 +14,7 @@ from dynahoi_lerobot.core.agent import Actor, Agent, Meeting, Observation
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.rollout.recorder import Job, WorldRecorder, frame_columns
+from dynahoi_lerobot.rollout.recorder import Job, WorldRecorder, measure_frame
 from dynahoi_lerobot.rollout.teacher_labels import Demonstrator, LabelledAgent
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
@@ -71,19 +71,15 @@ class Session:
             ValueError: for a wrong shape or a value that is not finite; nothing has moved then.
         """
         assert self.observation is not None, "observe before the first step"
-        checked, ids = self.batch.as_commands(commands, self.observation), self.playing
-        columns = frame_columns(self.batch, self.observation)
+        columns = measure_frame(self.batch, self.observation)
         images = self.observation.images if self.record_images else {}
-        for i, recorder in self._recorders.items():
-            recorder.add_frame(columns, i, images)
-        self.batch.step(checked[ids], ids)
-        if labels is not None:
-            labels = self.batch.as_labels(labels, self.observation)
-        for i, recorder in self._recorders.items():
-            label = None if labels is None else labels[i]
-            recorder.add_action(self.batch.given[i], self.batch.executed[i], label)
+        self.batch.step(commands, self.playing)
+        given = self.batch.given.copy()
+        wanted = given if labels is None else self.batch.commands.labels(labels, self.observation.state)
+        columns |= {"action": wanted, "given_action": given, "executed_action": self.batch.executed.copy()}
         terminated, full = np.zeros((2, self.batch.size), bool)
         for i, recorder in self._recorders.items():
+            recorder.add(columns, i, images)
             terminated[i], full[i] = recorder.settled(self.batch.rule), recorder.full
         return terminated, full & ~terminated
 
@@ -242,7 +238,7 @@ class ActionLog:
     attempt: int = 1
 
 
-class Player(Agent):
+class Replayer(Agent):
     """Repeats given commands, those of one log a world, and looks at nothing."""
 
     name = "player"
@@ -270,8 +266,8 @@ def played_again(recipe: Recipe, recorded: Episode) -> Episode | None:
     seed = recorded.meta.seed
     if not recipe.actor:
         return next(record(recipe, [seed]), None)
-    player = Player([ActionLog(seed, recorded.given_action)])
-    return next(record_on_policy(recipe, [seed], make_agent=lambda _: player, threads=1))
+    replayer = Replayer([ActionLog(seed, recorded.given_action)])
+    return next(record_on_policy(recipe, [seed], make_agent=lambda _: replayer, threads=1))
 
 
 def replay(
@@ -291,5 +287,5 @@ def replay(
         Job.evaluation(i, spec, log.attempt) if as_evaluated else Job(i, spec, len(log.actions), log.attempt)
         for i, (spec, log) in enumerate(zip(specs, logs, strict=True))
     ]
-    played = play(WorldBatch(recipe, len(logs)), Player(logs), jobs, images=images)
+    played = play(WorldBatch(recipe, len(logs)), Replayer(logs), jobs, images=images)
     return [episode for _, episode in sorted(played, key=lambda pair: pair[0].index)]

@@ -1,6 +1,6 @@
 """Recording one world: copying its frames while it is played, freezing them into an Episode when it ends."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Self
 
@@ -47,61 +47,57 @@ class Job:
         return cls(index, spec, spec.window_frames + spec.length_frames + 1, attempt, stop_settled=True)
 
 
-MEASURED: dict[str, Callable[[WorldBatch], np.ndarray]] = {
-    "fingertips": lambda batch: batch.fingertips(),
-    "target_pose": lambda batch: batch.target_pose,
-    "target_velocity": lambda batch: batch.target_velocity,
-    "target_contacts": lambda batch: batch.touching(),
-    "palm_distance": lambda batch: batch.palm_distance.copy(),
-    "fingertip_distance": lambda batch: np.maximum(batch.tip_distance().min(axis=1), 0.0),
-    "localized": lambda batch: batch.localized.copy(),
-}
-"""How each privileged feature of a frame is measured, (N, ...) of all worlds; the others are in the observation."""
-
+TOUCH_M = 0.005
+"""A fingertip this close touches the target: the sphere-overlap test of Appendix "Data collection"."""
 CONTACTS = ("finger_force_n", "palm_force_n", "others")
 """Fields of ``TargetContacts``, which the capture rule judges; an episode keeps the fingers' forces as ``touch``."""
 JUDGED = ("state", "localized", "palm_distance", *CONTACTS)
 """Columns from which the capture rule reads its verdict."""
 
 
-def frame_columns(batch: WorldBatch, observation: Observation) -> dict[str, np.ndarray]:
+def measure_frame(batch: WorldBatch, observation: Observation) -> dict[str, np.ndarray]:
     """Return what is recorded of all N worlds at this frame besides images, (N, ...) each, by name in ``Episode``."""
     features = frame_features(0, contact_sensors=batch.rule.uses_contact_sensors)
     columns = {feature.name: getattr(observation, feature.name) for feature in features if feature.observed}
-    columns |= {name: measure(batch) for name, measure in MEASURED.items()} | {"qpos": batch.qpos}
     if observation.sighting is not None:
         columns["sighting"] = observation.sighting
-    return columns | {name: getattr(batch.contacts, name).copy() for name in CONTACTS}
+    contacts, tips_m = batch.contacts, batch.tip_distance()
+    touching = contacts.finger_force_n > 0 if batch.rule.uses_contact_sensors else tips_m <= TOUCH_M
+    return columns | {
+        "fingertips": batch.fingertips(),
+        "target_pose": batch.target_pose,
+        "target_velocity": batch.target_velocity,
+        "target_contacts": touching,
+        "palm_distance": batch.palm_distance.copy(),
+        "fingertip_distance": np.maximum(tips_m.min(axis=1), 0.0),
+        "localized": batch.localized.copy(),
+        "qpos": batch.qpos,
+        **{name: getattr(contacts, name).copy() for name in CONTACTS},
+    }
 
 
 @dataclass
 class WorldRecorder:
-    """Collects one world's frames: ``add_frame`` before each step, ``add_action`` after it."""
+    """Collects one world's frames."""
 
     job: Job
     frames: list[dict[str, np.ndarray]] = field(default_factory=list)
     images: dict[str, list[np.ndarray]] = field(default_factory=dict)
-    given: list[np.ndarray] = field(default_factory=list)
-    executed: list[np.ndarray] = field(default_factory=list)
-    labels: list[np.ndarray] = field(default_factory=list)
     localized_frames: int = 0
     succeeded: bool = False
 
-    def add_frame(self, columns: dict[str, np.ndarray], i: int, images: dict[str, np.ndarray]) -> None:
-        """Record world ``i`` at this frame: its ``frame_columns`` and (N, H, W, 3) uint8 images by view, if any."""
+    def add(self, columns: dict[str, np.ndarray], i: int, images: dict[str, np.ndarray]) -> None:
+        """Record a frame of world ``i``, each array of all worlds.
+
+        Args:
+            columns: what was measured, and ``action``, ``given_action`` and ``executed_action`` of the step from it.
+            i: the world.
+            images: (N, H, W, 3) uint8 by view, if any.
+        """
         self.frames.append({name: values[i] for name, values in columns.items()})
         self.localized_frames += bool(columns["localized"][i])
         for view, pixels in images.items():
             self.images.setdefault(view, []).append(pixels[i])
-
-    def add_action(self, given: np.ndarray, executed: np.ndarray, label: np.ndarray | None = None) -> None:
-        """Record the commands (18,) given in this frame and executed from it on, palm [m], home frame, joints [rad].
-
-        ``label`` (18,) is what a teacher wanted instead, the episode's ``action``; without one, what was given is.
-        """
-        self.given.append(given.copy())
-        self.executed.append(executed.copy())
-        self.labels.append(self.given[-1] if label is None else label.copy())
 
     def settled(self, rule: CaptureRule) -> bool:
         """Tell whether the episode may end because the rule has settled its outcome."""
@@ -115,7 +111,7 @@ class WorldRecorder:
     @property
     def full(self) -> bool:
         """Whether the episode has reached its longest length."""
-        return len(self.labels) >= self.job.frames
+        return len(self.frames) >= self.job.frames
 
     def success(self, rule: CaptureRule) -> bool:
         """Return the rule's verdict on the frames so far; a success is not judged again, for it lasts."""
@@ -129,9 +125,6 @@ class WorldRecorder:
         track = self._track(columns)
         columns |= episode_constants(batch, spec, meeting)
         columns |= {
-            "action": np.stack(self.labels),
-            "given_action": np.stack(self.given),
-            "executed_action": np.stack(self.executed),
             "captured": self._padded(rule.captured(track)),
             "succeeded": next_frames(self._padded(rule.succeeded(track))),
             "intercept_time": spec.intercept_frame * CONTROL_DT,
@@ -215,7 +208,7 @@ def episode_constants(batch: WorldBatch, spec: EpisodeSpec, meeting: Meeting | N
         "side_camera": camera_pose(model, SIDE_CAMERA),
         "ego_intrinsics": intrinsics(model, EGO_VIEW, batch.cameras.image_size),
         "side_intrinsics": intrinsics(model, SIDE_CAMERA, batch.cameras.image_size),
-        "hand_limits": [batch.palm_speed_m_s, batch.control.joint_speed_rad_s, batch.control.latency_ms],
+        "hand_limits": [batch.commands.palm_speed_m_s, batch.control.joint_speed_rad_s, batch.control.latency_ms],
         "first_plan": planned_speed_and_lead_time(spec, meeting),
     }
 

@@ -15,7 +15,7 @@ from dynahoi_lerobot.scene.world_fields import WorldFields
 
 PARKED_PALM_W = (0.0, 0.0, 1.0)
 """Anywhere within the gantry's reach: hand and target do not collide here."""
-CONTROL_SPEC = mujoco.mjtState.mjSTATE_QFRC_APPLIED
+APPLIED_FORCES = mujoco.mjtState.mjSTATE_QFRC_APPLIED
 
 
 class RollAhead:
@@ -84,6 +84,6 @@ class RollAhead:
             for k, row in enumerate(rows):
                 first = len(self._paths_w[row]) - 1
                 control[k, :, dof : dof + 3] = self._force_w[row][first : first + frames].reshape(-1, 3)
-            record = self._batch.rollout(control.shape[1], control, CONTROL_SPEC.value, record=("qpos",), ids=rows)
+            record = self._batch.rollout(control.shape[1], control, APPLIED_FORCES.value, record=("qpos",), ids=rows)
             for row, qpos in zip(rows, record["qpos"][:, SUBSTEPS - 1 :: SUBSTEPS], strict=True):
                 self._paths_w[row] = np.concatenate([self._paths_w[row], qpos[:, self._position]])

@@ -9,6 +9,7 @@ from mujoco.batch import Batch
 
 from dynahoi_lerobot.core.conventions import PHYSICS_DT, SUBSTEPS
 from dynahoi_lerobot.core.numerics import arctan2, norm
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.motions import Motion, PrescribedMotion
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Box, Launch, Striker, Vector, yaw_quat
 from dynahoi_lerobot.objects import TargetObject
@@ -100,18 +101,17 @@ class WorldFields:
         self.fields["dof_damping"][i, dof : dof + 3] = launch.drag_kg_s
         return force_w
 
-    def turn_target(self, i: int, yaw_rad: float, spin_rad_s: float) -> None:
-        """Give a prescribed target its initial turn about the vertical and its spin about its own axis."""
-        qpos, dof = self._scene.target_qpos, self._scene.target_dof
-        self.qpos[i, qpos + 3 : qpos + 7] = yaw_quat(yaw_rad)
-        self.qvel[i, dof + 5] = spin_rad_s
+    def write_episode(self, i: int, spec: EpisodeSpec, collides_with: int) -> np.ndarray:
+        """Fill row ``i`` with an episode but for its hand; the row must have been reset. See ``write_world``."""
+        force_w = self.write_world(i, spec.motion, spec.target, spec.horizon_frames, collides_with)
+        if isinstance(spec.motion, PrescribedMotion):
+            qpos, dof = self._scene.target_qpos, self._scene.target_dof
+            self.qpos[i, qpos + 3 : qpos + 7], self.qvel[i, dof + 5] = yaw_quat(spec.yaw_rad), spec.spin_rad_s
+        self._write_appearance(i, spec.appearance)
+        self._mocap_pos[i, self._scene.side_mocap] = spec.home_pos_w
+        return force_w
 
-    def place_side_camera(self, i: int, home_pos_w: np.ndarray) -> None:
-        """Put the side camera of world ``i`` beside the hand's home (3,) [m], world."""
-        self._mocap_pos[i, self._scene.side_mocap] = home_pos_w
-
-    def write_appearance(self, i: int, appearance: Appearance) -> None:
-        """Give row ``i`` its textures, colours and light."""
+    def _write_appearance(self, i: int, appearance: Appearance) -> None:
         scene, rgba, matid = self._scene, self.fields["geom_rgba"], self.fields["geom_matid"]
         painted = (
             (scene.target_geoms, appearance.target_pattern + "_thing", appearance.target_rgb),

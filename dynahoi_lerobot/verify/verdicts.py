@@ -16,11 +16,10 @@ from dynahoi_lerobot.core.numerics import matrix_to_rotvec, quat_to_matrix, segm
 from dynahoi_lerobot.core.rules import is_acting
 from dynahoi_lerobot.dataset.quality_control import not_finite
 from dynahoi_lerobot.objects.primitives import from_table
-from dynahoi_lerobot.rollout.recorder import next_frames
+from dynahoi_lerobot.rollout.recorder import TOUCH_M, next_frames
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
 from dynahoi_lerobot.scene.scene import compile_scene
 from dynahoi_lerobot.scene.signed_distance import signed_distance
-from dynahoi_lerobot.world.batch import TOUCH_M
 
 TIP_TOLERANCE = 2e-5
 """Of fingertips and of distances that are computed again from numbers in float32 [m, rad]."""

@@ -1,20 +1,38 @@
 """What is measured of N worlds beyond the simulator's state: images, and where the fingertips are."""
 
+from __future__ import annotations
+
 import zlib
-from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from dynahoi_lerobot.core.conventions import DEFAULT_IMAGE_SIZE_PX, EGO_VIEW, FINGERS, RENDER_NOISE_STREAM
+from dynahoi_lerobot.core.conventions import (
+    DEFAULT_IMAGE_SIZE_PX,
+    DETECTOR_IMAGE_SIZE_PX,
+    EGO_VIEW,
+    FINGERS,
+    RENDER_NOISE_STREAM,
+)
+from dynahoi_lerobot.core.features import EYE
 from dynahoi_lerobot.core.numerics import matrix_to_rotvec, tan
+from dynahoi_lerobot.core.rules import PROTOCOLS
+from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.renderers import RENDERERS, Renderer
-from dynahoi_lerobot.renderers.views import VIEWS
+from dynahoi_lerobot.renderers.views import MOTION_VIEW, VIEWS
+from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.scene.scene import Scene
 from dynahoi_lerobot.scene.signed_distance import signed_distance
 from dynahoi_lerobot.scene.world_fields import WorldFields
 
+if TYPE_CHECKING:
+    from dynahoi_lerobot.world.detector import Detector
+
+KINEMATICS = mujoco.mjtStage.mjSTAGE_POS.value
+STAGE_FRAMES = 32
+"""Frames of an episode that are rendered together once it has ended."""
 MOTION_FRAMES = [0, 2, 4]
 """How many frames ago the channels of ``ego_motion`` were seen."""
 LUMINANCE = np.array([299, 587, 114], np.uint32)
@@ -57,56 +75,67 @@ class FrameHistory:
         self.frame[i] = frame
 
 
-class ImageHistory(FrameHistory):
-    """The last grey images of N worlds, for ``ego_motion``."""
-
-    def __init__(self, size: int, image_size: int) -> None:
-        """Remember square images of ``image_size`` [px] of ``size`` worlds."""
-        super().__init__(size, MOTION_FRAMES[-1] + 1, (image_size, image_size), np.uint8)
-
-    def shown(self, images: np.ndarray, ids: np.ndarray, frames: np.ndarray) -> np.ndarray:
-        """Add what worlds ``ids`` see, and return (N, H, W, 3) uint8 now, two and four frames ago; others are black.
-
-        Args:
-            images: (N, H, W, 3) uint8 RGB.
-            ids: (n,) worlds that see.
-            frames: (N,) of their episodes.
-        """
-        motion = np.zeros_like(images)
-        for i in ids:
-            self.add(i, _grey(images[i]), int(frames[i]))
-            motion[i] = np.moveaxis(self.values[MOTION_FRAMES, i], 0, -1)
-        return motion
-
-
 def _grey(image: np.ndarray) -> np.ndarray:
     """(H, W) uint8 luminance of an RGB image, in whole numbers, which round alike everywhere."""
     return ((image.astype(np.uint32) @ LUMINANCE + 500) // 1000).astype(np.uint8)
 
 
 class Cameras:
-    """Renders N worlds; a camera costs nothing until something is drawn through it."""
+    """What N worlds show of their episodes: a recipe's views, with its render noise, and what its eye sees in them.
+
+    A camera costs nothing until something is drawn through it.
+
+    Attributes:
+        image_size: side of the square images [px].
+        in_order: whether an image depends on earlier ones, or a column on images, so that frames must be seen in turn.
+    """
 
     def __init__(
-        self, scene: Scene, batch: Batch, image_size: int, renderer: str, update_kinematics: Callable[[], None]
+        self, scene: Scene, batch: Batch, recipe: Recipe, specs: list[EpisodeSpec | None], frame: np.ndarray
     ) -> None:
-        """Draw ``batch``, which runs ``scene.model``, in square images.
+        """Show ``batch``, which runs ``scene.model`` by the rules of ``recipe``.
 
-        Args:
-            scene: what the worlds share.
-            batch: the worlds.
-            image_size: side of the images [px]; 0 for the default, where images are drawn only on demand.
-            renderer: one of the renderers.
-            update_kinematics: recomputes the poses of all worlds; a new renderer asks the batch for further ones.
+        ``specs`` and ``frame`` (N,) of its episodes are kept up to date by whoever plays them.
 
         Raises:
-            UnknownNameError: if there is no such renderer.
+            ValueError: for an unknown renderer, or an eye without the ObAct plugin.
         """
-        self.image_size = image_size or DEFAULT_IMAGE_SIZE_PX
-        self._scene, self._batch, self._update_kinematics = scene, batch, update_kinematics
-        RENDERERS.check(renderer)
-        self._renderer_name = renderer
+        RENDERERS.check(recipe.renderer)
+        looks = recipe.environment_state == EYE
+        self.image_size = recipe.image_size or (DETECTOR_IMAGE_SIZE_PX if looks else DEFAULT_IMAGE_SIZE_PX)
+        self._scene, self._batch, self._recipe, self._specs, self._frame = scene, batch, recipe, specs, frame
         self._renderers: dict[str, Renderer] = {}
+        self._views = (EGO_VIEW, *recipe.views)
+        self._grey = FrameHistory(batch.nsim, MOTION_FRAMES[-1] + 1, (self.image_size, self.image_size), np.uint8)
+        self._detector = _detector(scene, batch, self.image_size) if looks else None
+        self.in_order = looks or MOTION_VIEW in self._views
+
+    def forget(self, ids: np.ndarray) -> None:
+        """Forget what was seen in worlds ``ids`` (n,), whose episodes begin."""
+        self._grey.forget(ids)
+        if self._detector is not None:
+            self._detector.forget(ids)
+
+    def images(self, ids: np.ndarray) -> dict[str, np.ndarray]:
+        """Return (N, H, W, 3) uint8 of each view; worlds not among ``ids`` (n,) or blinded by protocol are black."""
+        seeing = self._seeing(ids)
+        shown = {view: self._image(view, seeing) for view in self._views if view != MOTION_VIEW}
+        if MOTION_VIEW in self._views:
+            shown[MOTION_VIEW] = self._motion(shown[EGO_VIEW], seeing)
+        return {view: shown[view] for view in self._views}
+
+    def sighting(self, shown: dict[str, np.ndarray], palm: np.ndarray, ids: np.ndarray) -> np.ndarray | None:
+        """Return (N, 14) float32 where the eye sees the targets of worlds ``ids`` (n,), None without an eye.
+
+        Args:
+            shown: what ``images`` returned; empty if they are not shown.
+            palm: (N, 3) palm centre position [m].
+            ids: worlds to look at.
+        """
+        if self._detector is None:
+            return None
+        images = shown[EGO_VIEW] if shown else self._image(EGO_VIEW, self._seeing(ids))
+        return self._detector.see(images, palm, ids, self._frame)
 
     def render(self, ids: np.ndarray | None = None, view: str = EGO_VIEW) -> np.ndarray:
         """Return (N, H, W, 3) uint8 RGB of a view; only worlds ``ids`` (default: all) are drawn, others are black."""
@@ -127,12 +156,73 @@ class Cameras:
         """Return (N, H, W) float32 depth along the axis of the hand's camera [m], 0 where nothing is."""
         return self._renderer(EGO_VIEW).depth(np.arange(self._batch.nsim))
 
+    def _image(self, view: str, ids: np.ndarray) -> np.ndarray:
+        """(N, H, W, 3) uint8 RGB of a view with its render noise; only worlds ``ids`` (n,) are drawn."""
+        images, levels = self.render(ids, view), self._recipe.render_noise
+        if levels:
+            images = images.copy()
+            for i in ids:
+                if (spec := self._specs[i]) is not None:
+                    images[i] = with_render_noise(images[i], levels, spec.seed, int(self._frame[i]), view)
+        return images
+
+    def _motion(self, images: np.ndarray, ids: np.ndarray) -> np.ndarray:
+        """(N, H, W, 3) uint8 grey now, two and four frames ago, of worlds ``ids`` (n,); others are black."""
+        motion = np.zeros_like(images)
+        for i in ids:
+            self._grey.add(i, _grey(images[i]), int(self._frame[i]))
+            motion[i] = np.moveaxis(self._grey.values[MOTION_FRAMES, i], 0, -1)
+        return motion
+
+    def _seeing(self, ids: np.ndarray) -> np.ndarray:
+        """(n,) those of worlds ``ids`` whose protocol lets them see now."""
+        blind = [
+            spec is not None and PROTOCOLS[spec.protocol].blind_control and frame >= spec.window_frames
+            for spec, frame in zip(self._specs, self._frame, strict=True)
+        ]
+        return np.setdiff1d(ids, np.flatnonzero(blind))
+
     def _renderer(self, camera: str) -> Renderer:
         if camera not in self._renderers:
-            renderer = RENDERERS[self._renderer_name]
+            renderer = RENDERERS[self._recipe.renderer]
             self._renderers[camera] = renderer(self._scene, self._batch, self.image_size, camera)
-            self._update_kinematics()
+            self._batch.forward(stage=KINEMATICS)  # a new renderer asks the batch for further poses
         return self._renderers[camera]
+
+
+def _detector(scene: Scene, batch: Batch, image_size: int) -> Detector:
+    """Return the eye, which comes with the ObAct plugin; ValueError if that is not installed."""
+    try:
+        from dynahoi_lerobot.world.detector import Detector
+    except ImportError as error:
+        raise ValueError(f"environment_state {EYE} needs ObAct ({error}): install lerobot_policy_obact") from error
+    model = scene.model
+    return Detector(batch.nsim, camera_pose(model, EGO_VIEW), intrinsics(model, EGO_VIEW, image_size))
+
+
+class Stage:
+    """Renders episodes that have been played, some frames at a time, each in a row of its own."""
+
+    def __init__(self, scene: Scene, recipe: Recipe, threads: int) -> None:
+        """Allocate the rows; ``threads`` are for kinematics, 0 for all cores."""
+        self._batch = Batch(scene.model, nsim=STAGE_FRAMES, nthread=threads)
+        self._fields = WorldFields(self._batch, scene)
+        self._specs: list[EpisodeSpec | None] = [None] * STAGE_FRAMES
+        self._frame = np.zeros(STAGE_FRAMES, int)
+        self._cameras = Cameras(scene, self._batch, recipe, self._specs, self._frame)
+
+    def images(self, world: WorldFields, i: int, spec: EpisodeSpec, qpos: np.ndarray) -> dict[str, np.ndarray]:
+        """Return (T, H, W, 3) uint8 of each view of an episode's first T frames, of which (T, nq) ``qpos`` is known.
+
+        They are those that `Cameras` would have shown while row ``i`` of ``world`` played ``spec``.
+        """
+        self._specs[:], parts = [spec] * STAGE_FRAMES, []
+        for first in range(0, len(qpos), STAGE_FRAMES):
+            rows = self._fields.copy(world, i, qpos[first : first + STAGE_FRAMES])
+            self._frame[:] = first + np.arange(STAGE_FRAMES)
+            self._batch.forward(rows, stage=KINEMATICS)
+            parts.append({view: images[rows] for view, images in self._cameras.images(rows).items()})
+        return {view: np.concatenate([part[view] for part in parts]) for view in parts[0]}
 
 
 class Fingertips:
@@ -142,11 +232,6 @@ class Fingertips:
         self._scene, self._fields = scene, fields
         self._geom_pos, self._geom_mat = batch.bind("geom_xpos"), batch.bind("geom_xmat")
         self._site_pos, self._site_mat = batch.bind("site_xpos"), batch.bind("site_xmat")
-        self._distance: np.ndarray | None = None
-
-    def forget(self) -> None:
-        """Drop the measured distances, because something has moved."""
-        self._distance = None
 
     def poses(self, origin_w: np.ndarray) -> np.ndarray:
         """Return (N, 30), position [m] and rotation vector [rad] of each fingertip.
@@ -159,15 +244,7 @@ class Fingertips:
         return np.concatenate([position, matrix_to_rotvec(rotation)], axis=-1).reshape(len(position), -1)
 
     def target_distance(self) -> np.ndarray:
-        """Return (N, 5), signed distance of each fingertip to the target's surface [m], negative inside.
-
-        Experts, recordings and contacts ask for the same one, so it is kept until ``forget``.
-        """
-        if self._distance is None:
-            self._distance = self._measure()
-        return self._distance
-
-    def _measure(self) -> np.ndarray:
+        """Return (N, 5), signed distance of each fingertip to the target's surface [m], negative inside."""
         tips = self._site_pos[:, self._scene.tip_sites]  # (N, 5, 3)
         nearest = np.full((len(tips), len(FINGERS)), np.inf)
         alpha, sizes = self._fields.fields["geom_rgba"][..., 3], self._fields.fields["geom_size"]

@@ -29,16 +29,12 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., dict[s
 @pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
-def test_it_runs_and_writes_its_numbers(name: str, run: Callable[..., dict[str, Any]], tmp_path: Path) -> None:
+def test_it_runs_and_writes_its_numbers(name: str, run: Callable[..., dict[str, Any]]) -> None:
     table = run(name)
     assert table.pop("settings")
     assert table.pop("machine")["cores"] >= 1
     assert all(table.pop(name) for name in ("command", "commit", "processor"))
     table.pop("benchmark", None)
-    if name == "contact_sheet":
-        assert list(tmp_path.rglob("*.jpg"))
-        assert len(table["kinds"]) == 2
-        return
     assert re.search(r"[: ][0-9.]*[1-9]", json.dumps(table)), "a number above 0"
 
 

@@ -87,7 +87,7 @@ def play(specs: list[EpisodeSpec], renderer: str, threads: int = 1) -> tuple[np.
             labels.append(batch.cameras.segmentation())
         commands = batch.executed.copy()
         commands[:, 3:] += 0.05
-        batch.step(np.clip(commands, *batch.command_limits()))
+        batch.step(np.clip(commands, *batch.commands.limits()))
     return np.stack(images), np.stack(labels)
 
 

@@ -108,7 +108,7 @@ def test_without_a_window_control_starts_at_once():
         assert len(spec.target_path_w) == spec.length_frames + 1
 
 
-def test_the_oracle_rolls_each_world_alone(specs: list[EpisodeSpec]):
+def test_each_path_is_rolled_ahead_alone(specs: list[EpisodeSpec]):
     chosen = [specs[i] for i in (1, 7, 17, 21)]
     motions, targets = [spec.motion for spec in chosen], [spec.target for spec in chosen]
     together = RollAhead(motions, targets, [30, 44, 12, 20], threads=2)

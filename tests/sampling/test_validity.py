@@ -53,7 +53,7 @@ def test_only_what_knows_the_path_catches_nearly_everything(name, control, least
     assert least <= 100 * np.mean(localized) <= most
 
 
-SCRIPT = Path(__file__).parents[2] / "benchmarks" / "sightless.py"
+SCRIPT = Path(__file__).parents[2] / "benchmarks" / "validity.py"
 EXPLAINED = 0.15
 """Share of the variance of point and time that is chance or the length of the window, at most; the home explains more
 of each (0.26 to 0.48 of 1,000 episodes)."""
@@ -62,9 +62,9 @@ of each (0.26 to 0.48 of 1,000 episodes)."""
 @pytest.mark.nightly
 @pytest.mark.slow
 def test_a_regressor_without_images_is_no_better_than_a_fixed_path(tmp_path: Path):
-    python(SCRIPT, "--train", 440, "--episodes", 220, "--json", "numbers.json", cwd=tmp_path)
-    table = json.loads((tmp_path / "numbers.json").read_text())["table"]
-    fixed = table["blind_path"]
+    python(SCRIPT, "--baselines", "--sightless", 440, "--episodes", 220, "--json", "numbers.json", cwd=tmp_path)
+    table = json.loads((tmp_path / "numbers.json").read_text())["sightless"]
+    fixed = table["blind_path, standard"]
     for inputs in ("numbers", "numbers and words"):
         row = table[f"regressor, {inputs}"]
         assert row["value"] <= fixed["high"]

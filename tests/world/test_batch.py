@@ -71,7 +71,7 @@ def test_resetting_one_world_leaves_the_others_untouched(every_kind: list[Episod
     undisturbed = world(every_kind[:6])
     wait(undisturbed)
     for _ in range(5):
-        batch.step(batch.executed[others], np.array(others))
+        batch.step(batch.executed, np.array(others))
         undisturbed.step(undisturbed.executed)
     np.testing.assert_array_equal(batch._batch.state[others], undisturbed._batch.state[others])
 
@@ -230,7 +230,7 @@ def test_every_joint_arrives_at_its_command_at_the_end_of_the_frame(hands: World
     rng = np.random.default_rng(1)
     for _ in range(30):
         step = np.hstack([rng.uniform(-0.05, 0.05, (4, PALM_DOF)), rng.uniform(-0.5, 0.5, (4, HAND_DOF - PALM_DOF))])
-        wanted = np.clip(hands.executed + step, *hands.command_limits())
+        wanted = np.clip(hands.executed + step, *hands.commands.limits())
         hands.step(wanted)
         np.testing.assert_array_equal(hands.given, wanted.astype(np.float32))
         error = np.abs(hands.state - wanted)
@@ -284,7 +284,7 @@ def test_under_contact_each_axis_of_the_gantry_has_its_limit(specs: list[Episode
 def test_commands_beyond_the_range_end_at_its_limit(hands: WorldBatch, side: float):
     for _ in range(60):
         hands.step(np.full((4, HAND_DOF), side * 50.0))
-    limit = hands.servo.high if side > 0 else hands.servo.low
+    limit = hands.commands.high if side > 0 else hands.commands.low
     reached = hands.executed + np.hstack([hands.home_pos_w, np.zeros((4, HAND_DOF - PALM_DOF))])
     np.testing.assert_allclose(reached, np.tile(limit, (4, 1)), atol=1e-6)
     np.testing.assert_allclose(hands.state, hands.executed, atol=0.01)

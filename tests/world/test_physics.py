@@ -1,4 +1,4 @@
-"""The target keeps to its path: prescribed ones to the closed form, all of them to the oracle."""
+"""The target keeps to its path: prescribed ones to the closed form, all of them to the untouched one."""
 
 import numpy as np
 import pytest

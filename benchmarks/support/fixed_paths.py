@@ -1,4 +1,7 @@
-"""The best path of a hand that sees nothing: a beam search over directions, frame by frame, on many episodes."""
+"""The best path of a hand that sees nothing: a beam search over directions, frame by frame, on many episodes.
+
+Hands that know where they wait may have one for each of a few clusters of homes.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,6 +15,8 @@ CELL_M = 0.01
 """Of two paths that end in the same cell only the better one is kept."""
 FAR_M = 1e3
 """Where the target of an episode that has ended is put."""
+SWEEPS = 50
+"""Of Lloyd's algorithm."""
 
 
 @dataclass(frozen=True)
@@ -108,3 +113,37 @@ def _best(scores: np.ndarray, ends: np.ndarray, width: int) -> np.ndarray:
     cells = np.round(ends.reshape(-1, 3)[order] / CELL_M).astype(int)
     _, first = np.unique(cells, axis=0, return_index=True)
     return order[np.sort(first)[:width]]
+
+
+def homes_of(specs: Sequence[EpisodeSpec]) -> np.ndarray:
+    """Return (N, 3) the homes of episodes [m], world."""
+    return np.stack([spec.home_pos_w for spec in specs])
+
+
+def cluster(homes_w: np.ndarray, count: int) -> np.ndarray:
+    """Return (count, 3) the centres of ``count`` clusters of homes (N, 3) [m], world, by Lloyd's algorithm."""
+    centres = homes_w[np.random.default_rng(0).choice(len(homes_w), count, replace=False)]
+    for _ in range(SWEEPS):
+        members = [homes_w[nearest(homes_w, centres) == k] for k in range(count)]
+        centres = np.stack([m.mean(axis=0) if len(m) else c for m, c in zip(members, centres, strict=True)])
+    return centres
+
+
+def nearest(homes_w: np.ndarray, centres: np.ndarray) -> np.ndarray:
+    """Return (N,) the index of the centre (C, 3) nearest to each home (N, 3)."""
+    return np.linalg.norm(homes_w[:, None] - centres, axis=2).argmin(axis=1)
+
+
+def hits_by_cluster(homes_w: np.ndarray, targets: np.ndarray, table: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Return (N,) bool: the targets (N, F + 1, 3) that the path of the nearest centre meets.
+
+    Args:
+        homes_w: (N, 3) [m], world.
+        targets: as ``relative_paths`` returns them.
+        table: (C, 3) centres [m], world, and (C, K, 3) their paths.
+    """
+    centres, paths = table
+    met, labels = np.zeros(len(homes_w), bool), nearest(homes_w, centres)
+    for k, path in enumerate(paths):
+        met[labels == k] = hits_along(path, targets[labels == k])
+    return met
