@@ -1,0 +1,195 @@
+"""Play the real page in the system's Chromium, along the expert's path: S_loc, jitter and latency.
+
+    python benchmarks/play.py --episodes 20 --screenshots pictures
+
+The pointer is moved and keys are pressed through the DevTools protocol, so that everything between a person's hand and
+the world is in it. Chromium is Debian's package `chromium`.
+"""
+
+import argparse
+import asyncio
+import base64
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+from contextlib import asynccontextmanager
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import numpy as np
+from support.options import benchmark_parser, write_numbers
+
+from dynahoi_lerobot.core.conventions import CONTROL_DT, EGO_VIEW, PALM_DOF
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.numerics import quat_to_matrix
+from dynahoi_lerobot.evaluate.arguments import make_actor
+from dynahoi_lerobot.metrics import measure
+from dynahoi_lerobot.play.game import Game
+from dynahoi_lerobot.play.live_world import LiveWorld
+from dynahoi_lerobot.play.server import PlayServer
+from dynahoi_lerobot.play.steering import POINTED_M
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.world.sensors import camera_pose, intrinsics
+
+DEADBAND_M, CLOSED_RAD = 0.01, 0.1
+WIDTHS_PX = (390, 820, 1280)
+FLAGS = [
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--remote-debugging-port=0",
+]
+
+
+class Tab:
+    """A page of Chromium through the DevTools protocol."""
+
+    def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
+        self._socket, self._number, self._answers = socket, 0, dict[int, asyncio.Future[Any]]()
+        self._reader = asyncio.ensure_future(self._read())
+
+    async def _read(self) -> None:
+        async for message in self._socket:
+            answer = json.loads(message.data)
+            if waiting := self._answers.pop(answer.get("id"), None):
+                waiting.set_result(answer)
+
+    async def call(self, method: str, **parameters: Any) -> Any:
+        self._number += 1
+        waiting = self._answers[self._number] = asyncio.get_running_loop().create_future()
+        await self._socket.send_str(json.dumps({"id": self._number, "method": method, "params": parameters}))
+        return (await waiting)["result"]
+
+    async def value(self, expression: str) -> Any:
+        return (await self.call("Runtime.evaluate", expression=expression, returnByValue=True))["result"].get("value")
+
+    async def until(self, expression: str, seconds: float = 60.0) -> None:
+        async with asyncio.timeout(seconds):
+            while not await self.value(expression):
+                await asyncio.sleep(0.1)
+
+    async def screenshots(self, folder: Path, name: str) -> None:
+        """Take pictures of the whole page in all widths, light and dark."""
+        for width, scheme in product(WIDTHS_PX, ("light", "dark")):
+            size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 600}
+            await self.call("Emulation.setDeviceMetricsOverride", **size)
+            await self.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+            await asyncio.sleep(0.3)
+            told = await self.call("Page.captureScreenshot", format="png", captureBeyondViewport=True)
+            (folder / f"{name}_{width}_{scheme}.png").write_bytes(base64.b64decode(told["data"]))
+        await self.call("Emulation.clearDeviceMetricsOverride")
+
+
+@asynccontextmanager
+async def chromium(address: str):
+    """Open a page in a new Chromium and yield its tab."""
+    program = shutil.which("chromium") or shutil.which("google-chrome")
+    if program is None:
+        raise SystemExit("there is no chromium on this machine; install Debian's package `chromium`")
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        options = [*FLAGS, f"--user-data-dir={profile}", "--window-size=1280,960", address]
+        process = subprocess.Popen([program, *options], stderr=subprocess.DEVNULL)
+        try:
+            port_file = Path(profile) / "DevToolsActivePort"
+            async with asyncio.timeout(60):
+                while not port_file.exists():
+                    await asyncio.sleep(0.1)
+            port = port_file.read_text().split()[0]
+            async with aiohttp.ClientSession() as session:
+                pages = await (await session.get(f"http://127.0.0.1:{port}/json")).json(content_type=None)
+                [page] = [page for page in pages if page["type"] == "page"]
+                async with session.ws_connect(page["webSocketDebuggerUrl"], max_msg_size=0) as socket:
+                    yield Tab(socket)
+        finally:
+            process.kill()
+            process.wait()
+
+
+async def follow_expert(tab: Tab, world: LiveWorld) -> None:
+    """Move pointer and keys along the expert's path until the episode is over."""
+    corners = "(b => [b.left, b.top, b.width, b.height])(document.getElementById('view').getBoundingClientRect())"
+    box = await tab.value(corners)
+    model, hand = world.batch.scene.model, world.batch.scene.hand
+    axes = quat_to_matrix(camera_pose(model, EGO_VIEW)[3:])
+    focal, _, centre, _ = intrinsics(model, EGO_VIEW, world.recipe.image_size)
+    held: set[str] = set()
+    while world.finished is None:
+        goal = world.expert_goal()
+        right, up, back = axes.T @ (goal[:PALM_DOF] - world.batch.state[0, :PALM_DOF])
+        x, y = np.clip(np.array([right, up]) * focal / centre / POINTED_M, -1, 1)
+        place = {"x": box[0] + (x + 1) / 2 * box[2], "y": box[1] + (1 - y) / 2 * box[3]}
+        await tab.call("Input.dispatchMouseEvent", type="mouseMoved", **place)
+        keys = {"KeyW"} if back < -DEADBAND_M else {"KeyS"} if back > DEADBAND_M else set()
+        keys |= {"Space"} if np.abs(goal[PALM_DOF:] - hand.open_joints()).max() > CLOSED_RAD else set()
+        for code in keys ^ held:
+            kind = "keyDown" if code in keys else "keyUp"
+            await tab.call(
+                "Input.dispatchKeyEvent", type=kind, code=code, key=" " if code == "Space" else code[-1].lower()
+            )
+        held = keys
+        await asyncio.sleep(CONTROL_DT / 2)
+    for code in held:
+        await tab.call(
+            "Input.dispatchKeyEvent", type="keyUp", code=code, key=" " if code == "Space" else code[-1].lower()
+        )
+
+
+async def played(args: argparse.Namespace) -> dict[str, Any]:
+    """Play the episodes; return the figures."""
+    recipe = Recipe(split="val", image_size=192)
+    world, practice = (LiveWorld(rules, record_images=True) for rules in (recipe, replace(recipe, split="train")))
+    episodes: list[Episode] = []
+    game = Game(
+        world,
+        practice,
+        list(range(args.episodes)),
+        args.episodes,
+        "human:script",
+        [make_actor("expert")],
+        episodes.append,
+    )
+    address: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+    server = asyncio.ensure_future(PlayServer(game, "127.0.0.1", 0, "").run(address.set_result))
+    async with chromium(await address) as tab:
+        for number in range(args.episodes):
+            await tab.until("document.querySelectorAll('#panel button').length > 1")
+            await tab.value("[...document.querySelectorAll('#panel button')].at(-1).click()")
+            await tab.until("playing && frame")
+            await follow_expert(tab, world)
+            await tab.until(f"(window.results || []).length >= {2 * (number + 1)}")
+        figures = await tab.value("measured()")
+        if args.screenshots:
+            args.screenshots.mkdir(parents=True, exist_ok=True)
+            await tab.screenshots(args.screenshots, "result")
+            await tab.value("[...document.querySelectorAll('#panel button')].at(0).click()")
+            await tab.until("playing && frame")
+            await tab.screenshots(args.screenshots, "playing")
+    server.cancel()
+    rates = {
+        name: float(np.mean([measure(episode)[name] or 0 for episode in episodes])) for name in ("S_loc", "S_joint")
+    }
+    return {"episodes": len(episodes), **rates, **figures, "load": os.getloadavg()[0]}
+
+
+def main() -> None:
+    parser = benchmark_parser(__doc__, episodes=1)
+    parser.add_argument("--episodes", type=int, default=20)
+    parser.add_argument("--screenshots", type=Path, help="folder for pictures of the page")
+    args = parser.parse_args()
+    figures = asyncio.run(played(args))
+    print(json.dumps(figures, indent=2))
+    write_numbers(args, **figures)
+
+
+if __name__ == "__main__":
+    main()
