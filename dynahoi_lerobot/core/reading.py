@@ -14,9 +14,10 @@ import stat
 import zipfile
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import is_dataclass
 from pathlib import Path
 from types import UnionType
-from typing import TYPE_CHECKING, Any, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Any, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 import yaml
@@ -129,11 +130,16 @@ def require(content: Mapping[str, Any], types: Mapping[str, Any]) -> None:
         if name not in content:
             raise TypeError(f"it has no {name!r}")
         if not fits(content[name], hint):
-            raise TypeError(f"{name} must be of type {getattr(hint, '__name__', hint)}, got {content[name]!r:.80}")
+            told = hint.__name__ if isinstance(hint, type) and not get_args(hint) else hint
+            told = str(told).replace("tuple[str, ...]", "list[str]")
+            raise TypeError(f"{name} must be of type {told}, got {content[name]!r:.80}")
 
 
 def fits(value: Any, hint: Any) -> bool:
-    """Tell whether a value of JSON is of a type such as ``dict[str, list[int]] | None``; a bool is no number."""
+    """Tell whether a value of JSON is of a type such as ``dict[str, list[int]] | None``; a bool is no number.
+
+    An object is of the type of a dataclass if the values of its fields are of theirs.
+    """
     origin, inner = get_origin(hint), get_args(hint)
     if hint is Any:
         return True
@@ -141,10 +147,31 @@ def fits(value: Any, hint: Any) -> bool:
         return any(fits(value, kind) for kind in inner)
     if origin is dict:
         return isinstance(value, dict) and all(fits(item, inner[1]) for item in value.values())
-    if origin is list:
-        return isinstance(value, list) and all(fits(item, inner[0]) for item in value)
-    kinds = {float: (int, float), None: type(None)}.get(hint, hint)
+    if origin in (list, tuple):
+        return isinstance(value, list | tuple) and all(fits(item, inner[0]) for item in value)
+    if is_dataclass(hint):
+        hints = get_type_hints(hint)
+        return isinstance(value, dict) and all(fits(item, hints.get(name, Any)) for name, item in value.items())
+    kinds = {float: (int, float), None: type(None), Path: str}.get(hint, hint)
     return isinstance(value, kinds) and (hint is bool or not isinstance(value, bool) or hint is object)
+
+
+def decoded[T](kind: type[T], values: Any) -> T:
+    """Return a dataclass of values of JSON or YAML; of other types than its fields', draccus would make text of them.
+
+    Raises:
+        TypeError, ValueError: naming the field, or what the dataclass says of its value.
+    """
+    import draccus
+
+    hints = get_type_hints(kind)
+    require({"it": values}, {"it": dict})
+    require(values, {name: hints[name] for name in values if name in hints})
+    try:
+        return draccus.decode(kind, values)
+    except draccus.utils.DraccusException as error:
+        told = error if isinstance(error, draccus.utils.DecodingError) else error.__cause__ or error
+        raise ValueError(str(told)) from error
 
 
 def _plain(content: Any) -> Any:
@@ -203,6 +230,13 @@ def read_arrays(path: Path, names: Collection[str], most: int = TABLE_BYTES) -> 
     with opened(path) as file, zipfile.ZipFile(file) as archive:
         _refuse_growth(path, sum(archive.getinfo(f"{name}.npy").file_size for name in names), most)
         return {name: _array(archive.read(f"{name}.npy")) for name in names}
+
+
+def regular_zip(path: Path, most: int) -> Path:
+    """Return where a zip that takes at most ``most`` bytes in memory lies, for a library that opens it itself."""
+    with opened(path, most) as file, zipfile.ZipFile(file) as archive:
+        _refuse_growth(path, sum(entry.file_size for entry in archive.infolist()), most)
+    return regular(path, most)
 
 
 def _array(content: bytes) -> np.ndarray:

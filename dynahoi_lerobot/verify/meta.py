@@ -10,7 +10,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import draccus
 import numpy as np
 from av.container import OutputContainer
 from av.packet import Packet
@@ -26,7 +25,7 @@ from dynahoi_lerobot.core.features import (
     episode_features,
     image_feature,
 )
-from dynahoi_lerobot.core.reading import open_table, read_object, read_rows, read_table
+from dynahoi_lerobot.core.reading import decoded, open_table, read_object, read_rows, read_table
 from dynahoi_lerobot.dataset.columns import LANGUAGE
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, row_stats
 from dynahoi_lerobot.dataset.manifest import NOT_OURS, Manifest
@@ -115,8 +114,8 @@ class _Again(DatasetWriter):
     def __init__(self, root: Path, store: Store, manifest: Manifest) -> None:
         plan, described = manifest.provenance, store.features
         if "recipe" in plan:
-            columns = (*draccus.decode(Recipe, plan["recipe"]).features(), *episode_features())
-            encoding, subtasks = Encoding(**plan["encoding"]), plan["subtasks"]
+            columns = (*decoded(Recipe, plan["recipe"]).features(), *episode_features())
+            encoding, subtasks = decoded(Encoding, plan["encoding"]), plan["subtasks"]
         else:
             columns, encoding, subtasks = _columns(store), store.encoding, LANGUAGE in described
         super().__init__(root, columns, encoding, FileLimits(**plan.get("limits", {})), subtasks=subtasks)
