@@ -15,6 +15,7 @@ import zipfile
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import is_dataclass
+from enum import Enum
 from pathlib import Path
 from types import UnionType
 from typing import TYPE_CHECKING, Any, Union, get_args, get_origin, get_type_hints
@@ -47,11 +48,11 @@ class ReadError(ValueError):
 
 
 @contextmanager
-def reading(path: Path) -> Iterator[None]:
-    """Raise whatever a reader raises as a `ReadError` that names the file."""
+def reading(path: Path, *others: type[Exception]) -> Iterator[None]:
+    """Raise whatever a reader raises as a `ReadError` that names the file, but for ``others``."""
     try:
         yield
-    except ReadError:
+    except (ReadError, *others):
         raise
     except Exception as error:  # what a damaged file makes a reader raise differs from library to library
         told = getattr(error, "strerror", None) or str(error) or type(error).__name__
@@ -138,22 +139,26 @@ def require(content: Mapping[str, Any], types: Mapping[str, Any]) -> None:
 def fits(value: Any, hint: Any) -> bool:
     """Tell whether a value of JSON is of a type such as ``dict[str, list[int]] | None``; a bool is no number.
 
-    An object is of the type of a dataclass if the values of its fields are of theirs.
+    An object is of the type of a dataclass if the values of its fields are of theirs, and a name of that of an
+    enumeration if it has the name. Whatever is no type but a hint fits.
     """
     origin, inner = get_origin(hint), get_args(hint)
-    if hint is Any:
-        return True
     if origin in (Union, UnionType):
         return any(fits(value, kind) for kind in inner)
     if origin is dict:
         return isinstance(value, dict) and all(fits(item, inner[1]) for item in value.values())
-    if origin in (list, tuple):
-        return isinstance(value, list | tuple) and all(fits(item, inner[0]) for item in value)
+    if origin in (list, tuple, set):
+        items = value if isinstance(value, list | tuple) else None
+        wanted = inner if origin is tuple and inner[-1] is not ... else inner[:1] * len(items or ())
+        return items is not None and len(items) == len(wanted) and all(map(fits, items, wanted))
     if is_dataclass(hint):
         hints = get_type_hints(hint)
         return isinstance(value, dict) and all(fits(item, hints.get(name, Any)) for name, item in value.items())
-    kinds = {float: (int, float), None: type(None), Path: str}.get(hint, hint)
-    return isinstance(value, kinds) and (hint is bool or not isinstance(value, bool) or hint is object)
+    if isinstance(hint, type) and issubclass(hint, Enum):
+        return isinstance(value, str) and value in hint.__members__
+    kinds = {float: (int, float), None: type(None), Path: str, tuple: (list, tuple)}.get(hint, hint)
+    anything = not isinstance(kinds, type | tuple) or hint in (Any, object)
+    return anything or (isinstance(value, kinds) and (hint is bool or not isinstance(value, bool)))
 
 
 def decoded[T](kind: type[T], values: Any) -> T:

@@ -86,7 +86,8 @@ def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest
     with reading(root / MANIFEST_PATH):
         require(told := {"limits": {}} | manifest.provenance, {"limits": FileLimits})
         limits = FileLimits(**told["limits"])
-    return _assemble(output, [(store, kept)], limits, manifest.provenance | {"kept": sorted(kept)}, {})
+    with reading(root, OSError):  # which is of the folder that is written
+        return _assemble(output, [(store, kept)], limits, manifest.provenance | {"kept": sorted(kept)}, {})
 
 
 def _assemble(

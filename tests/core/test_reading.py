@@ -1,5 +1,6 @@
 """Hostile files of every kind in every place are refused in one sentence, soon, and before they take memory."""
 
+import copy
 import json
 import os
 import shutil
@@ -7,13 +8,14 @@ import signal
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import torch
+from lerobot.configs import PolicyFeature
 from safetensors.torch import load_file, save_file
 
 from dynahoi_lerobot.core.reading import (
@@ -29,6 +31,7 @@ from dynahoi_lerobot.core.reading import (
 )  # fmt: skip
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store, open_dataset
+from dynahoi_lerobot.evaluate.checkpoint import checked_folder, load_policy
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import RunInfo, read_results
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -137,6 +140,35 @@ def test_a_wrong_value_anywhere_is_read_or_refused_but_no_fault(artefact, name, 
             opener(root)
 
 
+WRONG = {bool: 7, int: "3", float: True, str: ["x"], list: 5, dict: "x", type(None): [[]]}
+"""For each type of JSON, what is not of it; a null stands for something optional."""
+
+
+def with_wrong(content: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], Any]]:
+    """Yield where a value of JSON is, at any depth, and the wrong one to put there; of lists the first counts."""
+    yield path, WRONG[type(content)]
+    items = enumerate(content[:1]) if isinstance(content, list) else ()
+    for key, value in content.items() if isinstance(content, dict) else items:
+        yield from with_wrong(value, (*path, key))
+
+
+@pytest.mark.parametrize("name", ["config.json", "policy_preprocessor.json"])
+def test_no_value_of_a_checkpoint_is_of_another_type(name: str, actor: Path, tmp_path: Path) -> None:
+    root = shutil.copytree(actor, tmp_path / "copy")
+    whole = json.loads((root / name).read_text())
+    for path, wrong in with_wrong(whole):
+        if not path or path == ("name",):
+            continue
+        content = place = copy.deepcopy(whole)
+        for key in path[:-1]:
+            place = place[key]
+        place[path[-1]] = wrong
+        (root / name).write_text(json.dumps(content))
+        with pytest.raises(ReadError) as refused:
+            load_policy(checked_folder(str(root)), "cpu")
+        assert str(root) in str(refused.value), path
+
+
 def test_json_is_bounded(tmp_path: Path) -> None:
     for text in ("NaN", "1e999", "9" * 30, "9" * 5000, "[" * 70 + "]" * 70, '"\\ud800"', "{", "\xff"):
         (path := tmp_path / "x.json").write_text(text, "latin-1")
@@ -171,9 +203,23 @@ def test_a_value_has_the_type_that_is_declared() -> None:
         (None, int | None),
         ({"x": [1]}, dict[str, list[int]]),
         ([], list[str]),
+        (["x"], tuple[str, ...]),
+        ([1, 2], tuple[int, int] | None),
+        ({"type": "STATE", "shape": [18]}, PolicyFeature),
+        (3, TypeVar("T")),
     ):
         assert fits(value, hint)
-    for value, hint in ((True, int), (False, float), ("3", int), (1.5, int), ({"x": [True]}, dict[str, list[int]])):
+    for value, hint in (
+        (True, int),
+        (False, float),
+        ("3", int),
+        (1.5, int),
+        ({"x": [True]}, dict[str, list[int]]),
+        ("x", tuple[str, ...]),
+        ([1], tuple[int, int]),
+        ({"type": "SMELL", "shape": [18]}, PolicyFeature),
+        ({"type": "STATE", "shape": "18"}, PolicyFeature),
+    ):
         assert not fits(value, hint), (value, hint)
 
 
