@@ -35,8 +35,8 @@ PRESETS = (
 MAX_GOP, MAX_CRF, MAX_PIXELS = 10_000, 51, 4096**2
 FRAME = Fraction(1, CONTROL_HZ)
 """Duration of a frame [s], the unit of time in video files."""
-EXACT_S = 1e-6
-"""Times that differ by less are the same [s]: tools that append episodes add up times."""
+READ_S = 1e-4
+"""LeRobot finds the frame of a time that differs by less [s]."""
 
 
 @dataclass(frozen=True)
@@ -203,10 +203,10 @@ def stream_problem(path: Path) -> str | None:
         stream = container.streams.video[0]
         if len(container.streams) > 1:
             return f"has {len(container.streams)} streams, not one"
-        if (rate := stream.average_rate) is None or abs(rate - CONTROL_HZ) > EXACT_S * CONTROL_HZ:
+        if (rate := stream.average_rate) is None or abs(rate - CONTROL_HZ) > READ_S * CONTROL_HZ:
             return f"has {rate} frames/s, not {CONTROL_HZ}"
-        times = (packet.pts * packet.time_base for packet in container.demux(stream) if packet.size)
-        late = (number for number, time in enumerate(times) if abs(time - number * FRAME) > EXACT_S)
+        times = sorted(packet.pts * packet.time_base for packet in container.demux(stream) if packet.size)
+        late = (number for number, time in enumerate(times) if abs(time - number * FRAME) > READ_S)
         return next((f"shows frame {number} at another time than its place" for number in late), None)
 
 

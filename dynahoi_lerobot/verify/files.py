@@ -16,11 +16,13 @@ from dynahoi_lerobot.dataset.episode_table import FACTS, EpisodeRow
 from dynahoi_lerobot.dataset.manifest import Manifest, changed_files, structure_problems
 from dynahoi_lerobot.dataset.paths import CODEBASE_VERSION, DATA_PATH, MANIFEST_PATH, TASKS_PATH, VIDEO_PATH, check_root
 from dynahoi_lerobot.dataset.store import Store
-from dynahoi_lerobot.dataset.video import EXACT_S, stored_packets, stream_problem
+from dynahoi_lerobot.dataset.video import stored_packets, stream_problem
 
 TOOL = "another tool, such as lerobot-edit-dataset, has edited this dataset"
 SHOWN = 4
 """Files that a sentence names."""
+EXACT_S = 1e-6
+"""Times that differ by less are the same [s]: tools that append episodes add up times."""
 
 
 def unreadable(store: Store) -> Iterator[str]:
