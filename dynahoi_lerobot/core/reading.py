@@ -10,6 +10,7 @@ import io
 import json
 import math
 import os
+import re
 import stat
 import zipfile
 from collections.abc import Collection, Iterator, Mapping
@@ -211,10 +212,21 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
+# YAML 1.1 takes 2e-3, which has no dot, for a text
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
+)
+
+
+def parsed_yaml(text: str) -> Any:
+    """Return what a text in YAML stands for; raises ValueError or YAMLError."""
+    return _plain(yaml.load(text, _Loader))
+
+
 def read_yaml(path: Path) -> dict[str, Any]:
     """Return the mapping that a YAML file holds; nothing but comments is an empty one."""
     with reading(path):
-        values = _plain(yaml.load(read_text(path, YAML_BYTES), _Loader))
+        values = parsed_yaml(read_text(path, YAML_BYTES))
         if not isinstance(values, dict | None):
             raise TypeError(f"it must map keys to values, got a {type(values).__name__}")
         return values or {}

@@ -373,9 +373,9 @@ def _check_statistics(file: Path, pipeline: Any, config: Any) -> None:
     normalised: dict[str, str] = {}
     known = (config.input_features or {}) | (config.output_features or {})
     for step in (step for step in pipeline.steps if hasattr(step, "norm_map")):
-        if not 0 <= step.eps <= LARGEST_EPS:
-            raise PolicyError(f"{file} says eps is {step.eps}; it must be 0 to {LARGEST_EPS}")
-        for key, feature in step.features.items():
+        if not 0 <= (eps := getattr(step, "eps", 0)) <= LARGEST_EPS:
+            raise PolicyError(f"{file} says eps is {eps}; it must be 0 to {LARGEST_EPS}")
+        for key, feature in getattr(step, "features", {}).items():
             if key in known and tuple(feature.shape) != tuple(known[key].shape):
                 raise PolicyError(f"{file} says {key} has shape {feature.shape}, and {CONFIG} {known[key].shape}")
             mode = getattr(step.norm_map.get(feature.type), "value", "IDENTITY")

@@ -8,6 +8,7 @@ from typing import Any
 import yaml
 
 from dynahoi_lerobot.core.arguments import path
+from dynahoi_lerobot.core.reading import parsed_yaml
 from dynahoi_lerobot.pretrain.recipe import read_recipe
 from dynahoi_lerobot.pretrain.snapshots import ImageStream
 
@@ -30,8 +31,8 @@ def setting(text: str) -> tuple[str, Any]:
     """Parse ``KEY=VALUE``, the value as YAML."""
     key, separator, value = text.partition("=")
     try:
-        parsed = yaml.safe_load(value)
-    except yaml.YAMLError:
+        parsed = parsed_yaml(value)
+    except (ValueError, yaml.YAMLError):
         separator = ""
     if not separator:
         raise argparse.ArgumentTypeError(f"must be KEY=VALUE, the value as YAML, got {text!r}")

@@ -94,8 +94,8 @@ def test_kinds_that_no_object_of_the_recipe_can_perform_are_left_out():
 
 def test_a_recipe_file_gives_the_recipe(tmp_path: Path):
     path = tmp_path / "recipe.yaml"
-    path.write_text("split: val\nmotions: [lateral, ramp]\nimage_size: 64\nperturbed_share: 0.5\n")
-    assert load_recipe(path) == Recipe(split="val", motions=("lateral", "ramp"), image_size=64, perturbed_share=0.5)
+    path.write_text("split: val\nmotions: [lateral, ramp]\nimage_size: 64\nperturbed_share: 25e-2\n")
+    assert load_recipe(path) == Recipe(split="val", motions=("lateral", "ramp"), image_size=64, perturbed_share=0.25)
     path.write_text("# everything as usual\n")
     assert load_recipe(path) == Recipe()
 

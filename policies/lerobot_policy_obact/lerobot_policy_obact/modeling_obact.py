@@ -374,7 +374,9 @@ class ObActPolicy(PreTrainedPolicy):
         now_s = time.monotonic()
         if self._frames and "timestamp" not in batch:
             images = ((batch[key], self._images[key]) for key in self.config.cameras)
-            if all(torch.equal(new, old) for new, old in (*images, (self._state_of(batch), self._frames[-1].state[:, 0]))):
+            if all(
+                torch.equal(new, old) for new, old in (*images, (self._state_of(batch), self._frames[-1].state[:, 0]))
+            ):
                 return
             ticks = round((now_s - self._began_s) * self.config.rig.fps)
             now_s = max(self._began_s + ticks / self.config.rig.fps, self._now_s + 1 / self.config.rig.fps)

@@ -335,7 +335,10 @@ def test_what_is_exported_acts_as_the_average_did(tmp_path: Path):
     policy.save_pretrained(training)
     for processor in make_pre_post_processors(policy.config):
         processor.save_pretrained(training)
-    for file in (training / "config.json", training / "policy_preprocessor.json"):  # as a machine with a GPU writes them
+    for file in (
+        training / "config.json",
+        training / "policy_preprocessor.json",
+    ):  # as a machine with a GPU writes them
         file.write_text(file.read_text().replace('"cpu"', '"cuda"'))
     (training / "train_config.json").write_text('{"steps": 2}')
     export(training, out)
