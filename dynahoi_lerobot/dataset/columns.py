@@ -171,10 +171,9 @@ def read_png(cell: dict[str, Any]) -> np.ndarray:
     if image.width * image.height > MAX_PIXELS:
         raise ValueError(f"an image has {image.width} x {image.height} pixels, more than {MAX_PIXELS}")
     pixels = np.asarray(image)  # after which all that it holds is known
-    if image.mode != "RGB" or image.info or image.n_frames > 1:
-        raise ValueError(
-            f"an image is {image.mode} with {sorted(image.info)} in {image.n_frames} frames, not RGB alone"
-        )
+    frames = getattr(image, "n_frames", 1)
+    if image.mode != "RGB" or image.info or frames > 1:
+        raise ValueError(f"an image is {image.mode} with {sorted(image.info)} in {frames} frames, not RGB alone")
     return pixels
 
 

@@ -205,7 +205,7 @@ def stream_problem(path: Path) -> str | None:
             return f"has {len(container.streams)} streams, not one"
         if (rate := stream.average_rate) is None or abs(rate - CONTROL_HZ) > READ_S * CONTROL_HZ:
             return f"has {rate} frames/s, not {CONTROL_HZ}"
-        times = sorted(packet.pts * packet.time_base for packet in container.demux(stream) if packet.size)
+        times = sorted(cast(int, packet.pts) * packet.time_base for packet in container.demux(stream) if packet.size)
         late = (number for number, time in enumerate(times) if abs(time - number * FRAME) > READ_S)
         return next((f"shows frame {number} at another time than its place" for number in late), None)
 
