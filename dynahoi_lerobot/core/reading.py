@@ -10,13 +10,16 @@ import io
 import json
 import math
 import os
+import re
 import stat
 import zipfile
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import is_dataclass
+from enum import Enum
 from pathlib import Path
 from types import UnionType
-from typing import TYPE_CHECKING, Any, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Any, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 import yaml
@@ -46,11 +49,11 @@ class ReadError(ValueError):
 
 
 @contextmanager
-def reading(path: Path) -> Iterator[None]:
-    """Raise whatever a reader raises as a `ReadError` that names the file."""
+def reading(path: Path, *others: type[Exception]) -> Iterator[None]:
+    """Raise whatever a reader raises as a `ReadError` that names the file, but for ``others``."""
     try:
         yield
-    except ReadError:
+    except (ReadError, *others):
         raise
     except Exception as error:  # what a damaged file makes a reader raise differs from library to library
         told = getattr(error, "strerror", None) or str(error) or type(error).__name__
@@ -129,22 +132,52 @@ def require(content: Mapping[str, Any], types: Mapping[str, Any]) -> None:
         if name not in content:
             raise TypeError(f"it has no {name!r}")
         if not fits(content[name], hint):
-            raise TypeError(f"{name} must be of type {getattr(hint, '__name__', hint)}, got {content[name]!r:.80}")
+            told = hint.__name__ if isinstance(hint, type) and not get_args(hint) else hint
+            told = str(told).replace("tuple[str, ...]", "list[str]")
+            raise TypeError(f"{name} must be of type {told}, got {content[name]!r:.80}")
 
 
 def fits(value: Any, hint: Any) -> bool:
-    """Tell whether a value of JSON is of a type such as ``dict[str, list[int]] | None``; a bool is no number."""
+    """Tell whether a value of JSON is of a type such as ``dict[str, list[int]] | None``; a bool is no number.
+
+    An object is of the type of a dataclass if the values of its fields are of theirs, and a name of that of an
+    enumeration if it has the name. Whatever is no type but a hint fits.
+    """
     origin, inner = get_origin(hint), get_args(hint)
-    if hint is Any:
-        return True
     if origin in (Union, UnionType):
         return any(fits(value, kind) for kind in inner)
     if origin is dict:
         return isinstance(value, dict) and all(fits(item, inner[1]) for item in value.values())
-    if origin is list:
-        return isinstance(value, list) and all(fits(item, inner[0]) for item in value)
-    kinds = {float: (int, float), None: type(None)}.get(hint, hint)
-    return isinstance(value, kinds) and (hint is bool or not isinstance(value, bool) or hint is object)
+    if origin in (list, tuple, set):
+        items = value if isinstance(value, list | tuple) else None
+        wanted = inner if origin is tuple and inner[-1] is not ... else inner[:1] * len(items or ())
+        return items is not None and len(items) == len(wanted) and all(map(fits, items, wanted))
+    if is_dataclass(hint):
+        hints = get_type_hints(hint)
+        return isinstance(value, dict) and all(fits(item, hints.get(name, Any)) for name, item in value.items())
+    if isinstance(hint, type) and issubclass(hint, Enum):
+        return isinstance(value, str) and value in hint.__members__
+    kinds = {float: (int, float), None: type(None), Path: str, tuple: (list, tuple)}.get(hint, hint)
+    anything = not isinstance(kinds, type | tuple) or hint in (Any, object)
+    return anything or (isinstance(value, kinds) and (hint is bool or not isinstance(value, bool)))
+
+
+def decoded[T](kind: type[T], values: Any) -> T:
+    """Return a dataclass of values of JSON or YAML; of other types than its fields', draccus would make text of them.
+
+    Raises:
+        TypeError, ValueError: naming the field, or what the dataclass says of its value.
+    """
+    import draccus
+
+    hints = get_type_hints(kind)
+    require({"it": values}, {"it": dict})
+    require(values, {name: hints[name] for name in values if name in hints})
+    try:
+        return draccus.decode(kind, values)
+    except draccus.utils.DraccusException as error:
+        told = error if isinstance(error, draccus.utils.DecodingError) else error.__cause__ or error
+        raise ValueError(str(told)) from error
 
 
 def _plain(content: Any) -> Any:
@@ -179,10 +212,21 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
+# YAML 1.1 takes 2e-3, which has no dot, for a text
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
+)
+
+
+def parsed_yaml(text: str) -> Any:
+    """Return what a text in YAML stands for; raises ValueError or YAMLError."""
+    return _plain(yaml.load(text, _Loader))
+
+
 def read_yaml(path: Path) -> dict[str, Any]:
     """Return the mapping that a YAML file holds; nothing but comments is an empty one."""
     with reading(path):
-        values = _plain(yaml.load(read_text(path, YAML_BYTES), _Loader))
+        values = parsed_yaml(read_text(path, YAML_BYTES))
         if not isinstance(values, dict | None):
             raise TypeError(f"it must map keys to values, got a {type(values).__name__}")
         return values or {}
@@ -203,6 +247,13 @@ def read_arrays(path: Path, names: Collection[str], most: int = TABLE_BYTES) -> 
     with opened(path) as file, zipfile.ZipFile(file) as archive:
         _refuse_growth(path, sum(archive.getinfo(f"{name}.npy").file_size for name in names), most)
         return {name: _array(archive.read(f"{name}.npy")) for name in names}
+
+
+def regular_zip(path: Path, most: int) -> Path:
+    """Return where a zip that takes at most ``most`` bytes in memory lies, for a library that opens it itself."""
+    with opened(path, most) as file, zipfile.ZipFile(file) as archive:
+        _refuse_growth(path, sum(entry.file_size for entry in archive.infolist()), most)
+    return regular(path, most)
 
 
 def _array(content: bytes) -> np.ndarray:

@@ -160,11 +160,19 @@ def _png_cell(image: np.ndarray, number: int) -> dict[str, Any]:
 
 
 def read_png(cell: dict[str, Any]) -> np.ndarray:
-    """Return the image (H, W, 3) uint8 RGB of a cell of the frame table."""
+    """Return the image (H, W, 3) uint8 RGB of a cell of the frame table.
+
+    Raises:
+        ValueError: if it is too large, or holds more than pixels: other readers turn images by what it says.
+    """
     image = Image.open(io.BytesIO(cell["bytes"]), formats=["PNG"])
     if image.width * image.height > MAX_PIXELS:
         raise ValueError(f"an image has {image.width} x {image.height} pixels, more than {MAX_PIXELS}")
-    return np.asarray(image)
+    pixels = np.asarray(image)  # after which all that it holds is known
+    frames = getattr(image, "n_frames", 1)
+    if image.mode != "RGB" or image.info or frames > 1:
+        raise ValueError(f"an image is {image.mode} with {sorted(image.info)} in {frames} frames, not RGB alone")
+    return pixels
 
 
 _IMAGE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])

@@ -15,6 +15,7 @@ from av.packet import Packet
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.files import new_folder
+from dynahoi_lerobot.core.reading import reading, require
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import MANIFEST_PATH, FileLimits
@@ -82,8 +83,11 @@ def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest
         raise ValueError("got no episodes to keep; a dataset needs at least one")
     if unknown := sorted(kept - set(range(store.episodes))):
         raise ValueError(f"episode {unknown[0]} does not exist; {root} holds {store.episodes}")
-    limits = FileLimits(**manifest.provenance.get("limits", {}))
-    return _assemble(output, [(store, kept)], limits, manifest.provenance | {"kept": sorted(kept)}, {})
+    with reading(root / MANIFEST_PATH):
+        require(told := {"limits": {}} | manifest.provenance, {"limits": FileLimits})
+        limits = FileLimits(**told["limits"])
+    with reading(root, OSError):  # which is of the folder that is written
+        return _assemble(output, [(store, kept)], limits, manifest.provenance | {"kept": sorted(kept)}, {})
 
 
 def _assemble(

@@ -55,6 +55,11 @@ class FileLimits:
     video_s: float = 1000.0
     chunk_files: int = 1000
 
+    def __post_init__(self) -> None:
+        """Refuse limits that no file keeps; ValueError naming them."""
+        if not min(self.data_mb, self.video_mb, self.video_s, self.chunk_files) > 0:
+            raise ValueError(f"limits of files must be more than 0, got {self}")
+
     def place(self, number: int) -> tuple[int, int]:
         """Return (chunk index, file index) of the ``number``-th file of a kind."""
         return divmod(number, self.chunk_files)

@@ -36,6 +36,8 @@ PRESETS = (
 MAX_GOP, MAX_CRF, MAX_PIXELS = 10_000, 51, 4096**2
 FRAME = Fraction(1, CONTROL_HZ)
 """Duration of a frame [s], the unit of time in video files."""
+READ_S = 1e-4
+"""LeRobot finds the frame of a time that differs by less [s]."""
 
 
 @dataclass(frozen=True)
@@ -187,6 +189,19 @@ def stored_packets(path: Path) -> Iterator[Packet]:
         yield from (packet for packet in container.demux(video=0) if packet.size)  # the last one only flushes
 
 
+def stream_problem(path: Path) -> str | None:
+    """Say why other readers may show a video's packets at other times, turned, or not at all; nothing is decoded."""
+    with av.open(str(regular(path)), format="mp4") as container:
+        stream = container.streams.video[0]
+        if len(container.streams) > 1:
+            return f"has {len(container.streams)} streams, not one"
+        if (rate := stream.average_rate) is None or abs(rate - CONTROL_HZ) > READ_S * CONTROL_HZ:
+            return f"has {rate} frames/s, not {CONTROL_HZ}"
+        times = sorted(cast(int, packet.pts) * packet.time_base for packet in container.demux(stream) if packet.size)
+        late = (number for number, time in enumerate(times) if abs(time - number * FRAME) > READ_S)
+        return next((f"shows frame {number} at another time than its place" for number in late), None)
+
+
 def decode(path: Path, start: int = 0, stop: int | None = None) -> Iterator[np.ndarray]:
     """Yield frames ``start`` to ``stop`` (excluded; None for all) of a video as (H, W, 3) uint8 RGB."""
     with av.open(str(regular(path)), format="mp4") as container:
@@ -200,5 +215,7 @@ def decode(path: Path, start: int = 0, stop: int | None = None) -> Iterator[np.n
             number = round(cast(int, frame.pts) * time_base * rate)
             if stop is not None and number >= stop:
                 return
+            if frame.rotation:
+                raise ValueError(f"it is shown turned by {frame.rotation} degrees")
             if number >= start:
                 yield frame.to_ndarray(format="rgb24")

@@ -9,18 +9,27 @@ import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from importlib.util import find_spec
 from math import prod
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 
 from dynahoi_lerobot.core.control_mode import CONTROL_MODES, GRASP
 from dynahoi_lerobot.core.conventions import DETECTOR_IMAGE_SIZE_PX
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, EYE, IMAGE_PREFIX, environment_state_of
-from dynahoi_lerobot.core.reading import ReadError, inside, read_json, read_object, reading, sha256, tensor_types
+from dynahoi_lerobot.core.reading import (
+    ReadError,
+    inside,
+    read_json,
+    read_object,
+    reading,
+    require,
+    sha256,
+    tensor_types,
+)  # fmt: skip
 
 CONFIG, WEIGHTS, TRAINING = "config.json", "model.safetensors", "train_config.json"
 PIPELINES = ("policy_preprocessor.json", "policy_postprocessor.json")
@@ -35,8 +44,8 @@ PLUGINS = {"obact": "lerobot_policy_obact"} | dict.fromkeys(("actiontokens", "up
 STEPS = ("lerobot.policies.", "lerobot.processor.")
 LOADING_STEPS = "lerobot.processor.hil_processor"
 """Modules whose processor steps a checkpoint may name without ``--trust``, and one of which loads a second one."""
-LARGEST_NUMBER = 10**7
-"""Largest number in the config of a policy."""
+LARGEST_NUMBER, LARGEST_SIZE, LARGEST_EPS = 10**7, 10**4, 0.01
+"""Largest number in the config of a policy, in the shape of a feature, and that a normaliser adds to a deviation."""
 FLOATS, OTHERS = ("F64", "F32", "F16", "BF16"), {"int64": "I64", "int32": "I32", "uint8": "U8", "bool": "BOOL"}
 """Types in a file of weights: those that stand for each other, and those of tensors of torch's other types."""
 FACTOR, TENSORS, ELEMENTS = 4, 1000, 10**6
@@ -152,7 +161,8 @@ def trained_for(folder: Path) -> dict[str, Any]:
     with reading(folder / (TRAINING if training else CONFIG)):
         env, root = training.get("env") or {}, (training.get("dataset") or {}).get("root")
         rules = _recipe_of(root) or (env if env.get("type") == "dynahoi" else {})
-        told = {key: str(rules[key]) for key in ("capture", "control_class", "protocol") if rules.get(key)}
+        told = {key: rules[key] for key in ("capture", "control_class", "protocol") if rules.get(key)}
+        require(told, dict.fromkeys(told, str))
         inputs = config.get("input_features", {})
         if camera := next((feature for key, feature in inputs.items() if key.startswith(IMAGE_PREFIX)), None):
             told["image_size"] = camera["shape"][-1]
@@ -245,6 +255,10 @@ def _pipeline_findings(file: Path) -> Iterator[str]:
             yield f"names the processor step {name!r}, which is not one of those known to be safe"
         elif surplus := sorted(config.keys() - inspect.signature(kind).parameters.keys()):
             yield f"gives the step {name!r} the key {surplus[0]!r}, which it does not have"
+        elif kind.__module__.startswith(STEPS):
+            with reading(file):
+                hints = get_type_hints(kind if is_dataclass(kind) else kind.__init__)
+                require(config, {key: hints[key] for key in config if key in hints})
         if (state := step.get("state_file")) is not None:
             try:
                 inside(file.parent, state)
@@ -279,11 +293,16 @@ def _config(folder: Path, settings: Sequence[str]) -> Any:
     from lerobot.configs import PreTrainedConfig
 
     told = read_object(folder / CONFIG)
-    if huge := [key for key, value in _numbers(told) if abs(value) > LARGEST_NUMBER]:
-        raise PolicyError(f"{folder / CONFIG} says {huge[0]} is more than {LARGEST_NUMBER}")
+    for key, value in _numbers(told):
+        low, high = (1, LARGEST_SIZE) if key == "shape" else (-LARGEST_NUMBER, LARGEST_NUMBER)
+        if not low <= value <= high:
+            raise PolicyError(f"{folder / CONFIG} says {key} is {value}; it must be {low} to {high}")
     if (kind := told.get("type")) not in PreTrainedConfig.get_known_choices():
         package = PLUGINS.get(str(kind), f"lerobot_policy_{kind}")
         raise PolicyError(f"{folder / CONFIG} is of type {kind!r}, which is not installed: install {package}")
+    hints = get_type_hints(PreTrainedConfig.get_choice_class(str(kind)))
+    with reading(folder / CONFIG):
+        require(told, {name: hint for name, hint in hints.items() if name in told})
     try:
         config = PreTrainedConfig.from_pretrained(str(folder))
     except Exception as error:
@@ -352,8 +371,13 @@ def _fits_type(tensor: Any, kind: str) -> bool:
 def _check_statistics(file: Path, pipeline: Any, config: Any) -> None:
     """Refuse a pipeline that normalises a feature without its statistics, or not as the config of its policy says."""
     normalised: dict[str, str] = {}
-    for step in pipeline.steps:
-        for key, feature in getattr(step, "features", {}).items() if hasattr(step, "norm_map") else ():
+    known = (config.input_features or {}) | (config.output_features or {})
+    for step in (step for step in pipeline.steps if hasattr(step, "norm_map")):
+        if not 0 <= (eps := getattr(step, "eps", 0)) <= LARGEST_EPS:
+            raise PolicyError(f"{file} says eps is {eps}; it must be 0 to {LARGEST_EPS}")
+        for key, feature in getattr(step, "features", {}).items():
+            if key in known and tuple(feature.shape) != tuple(known[key].shape):
+                raise PolicyError(f"{file} says {key} has shape {feature.shape}, and {CONFIG} {known[key].shape}")
             mode = getattr(step.norm_map.get(feature.type), "value", "IDENTITY")
             chosen = getattr(step, "normalize_observation_keys", None)
             if mode == "IDENTITY" or (chosen is not None and key not in (*chosen, "action")):

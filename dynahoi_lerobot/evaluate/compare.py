@@ -9,7 +9,7 @@ import numpy as np
 from dynahoi_lerobot.core.conventions import PALM_DOF
 from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.evaluate.rows import IDENTITY
-from dynahoi_lerobot.evaluate.summary import Estimate, bootstrap_means
+from dynahoi_lerobot.evaluate.summary import RESAMPLES, SEED, Estimate, bootstrap
 from dynahoi_lerobot.metrics import METRICS, Metric
 from dynahoi_lerobot.sampling.splits import refuse_mixed_streams, refuse_to_mix
 
@@ -30,7 +30,7 @@ class Comparison(Estimate):
     Of ``commands`` it is the mean distance, in cm.
 
     Attributes:
-        p_value: exact McNemar for rates, paired bootstrap for means; two-sided. None for ``commands``.
+        p_value: exact McNemar for rates, `sign_flip` for means; two-sided. None for ``commands``.
     """
 
     value: float
@@ -69,12 +69,11 @@ def compare(
     differences = command_distances_cm(a, b) if metric == COMMANDS else -np.diff(paired_values(a, b, metric))[:, 0]
     if len(differences) == 0:
         return None
-    means = bootstrap_means(differences)
-    low, high = np.percentile(means, [2.5, 97.5])
+    low, high = bootstrap(differences)
     unit, p_value = "cm", None
     if metric != COMMANDS:
-        unit, p_value = METRICS[metric].unit, _p_value(METRICS[metric], differences, means)
-    return Comparison(float(differences.mean()), float(low), float(high), unit, len(differences), p_value)
+        unit, p_value = METRICS[metric].unit, _p_value(METRICS[metric], differences)
+    return Comparison(float(differences.mean()), low, high, unit, len(differences), p_value)
 
 
 def paired_values(a: Results, b: Results, metric: str) -> np.ndarray:
@@ -114,9 +113,22 @@ def mcnemar(only_a: int, only_b: int) -> float:
     return min(1.0, 2 * tail / 2**discordant)
 
 
-def _p_value(metric: Metric, differences: np.ndarray, means: np.ndarray) -> float:
-    """McNemar's for a rate, else the two-sided share of bootstrap means beyond zero, at least one resample's."""
+def sign_flip(differences: np.ndarray) -> float:
+    """Return the two-sided p-value of the paired permutation test that (n,) ``differences`` have mean 0.
+
+    If A and B are equally good, each difference might as well be its opposite; the p-value is the share of choices of
+    signs whose mean is as far from 0. It is exact for few episodes: of five, none is below 2 / 32.
+    """
+    values, exact = np.sort(differences), 2 ** len(differences) <= RESAMPLES
+    if exact:
+        flipped = np.arange(2 ** len(values))[:, None] >> np.arange(len(values)) & 1  # (2^n, n)
+    else:
+        flipped = np.random.default_rng(SEED).integers(2, size=(RESAMPLES, len(values)), dtype=np.int8)
+    far = np.abs(values.sum() - 2 * flipped @ values) >= abs(values.sum()) * (1 - 1e-9)
+    return float(far.mean() if exact else (far.sum() + 1) / (RESAMPLES + 1))
+
+
+def _p_value(metric: Metric, differences: np.ndarray) -> float:
     if metric.aggregation == "rate":
         return mcnemar(int((differences > 0).sum()), int((differences < 0).sum()))
-    far = min((means <= 0).sum(), (means >= 0).sum())
-    return float(min(1.0, 2 * max(far, 1) / len(means)))
+    return sign_flip(differences)

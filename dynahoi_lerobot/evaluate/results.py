@@ -10,14 +10,22 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Self, get_type_hints
 
-import draccus
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import HAND_DOF
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.escaping import printable
 from dynahoi_lerobot.core.files import write_atomically
-from dynahoi_lerobot.core.reading import ReadError, open_table, read_arrays, read_object, read_rows, reading, require
+from dynahoi_lerobot.core.reading import (
+    ReadError,
+    decoded,
+    open_table,
+    read_arrays,
+    read_object,
+    read_rows,
+    reading,
+    require,
+)  # fmt: skip
 from dynahoi_lerobot.evaluate.rows import COLUMNS, Row, episode_row
 from dynahoi_lerobot.evaluate.summary import Estimate, Summary, summarise_by, summarise_rows, wilson
 from dynahoi_lerobot.metrics import METRICS
@@ -174,7 +182,7 @@ class Results:
         if "recipe" not in self.info.extra:
             raise ReadError(f"{self.folder} does not say what was played; evaluate again with this version")
         with reading(self.folder / METRICS_FILE):
-            return draccus.decode(Recipe, self.info.extra["recipe"])
+            return decoded(Recipe, self.info.extra["recipe"])
 
     def log(self, index: int) -> ActionLog:
         """Return what row ``index`` was played with."""

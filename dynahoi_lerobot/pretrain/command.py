@@ -10,6 +10,7 @@ from typing import Any
 import yaml
 
 from dynahoi_lerobot.core.arguments import option
+from dynahoi_lerobot.core.reading import parsed_yaml
 from dynahoi_lerobot.pretrain.recipe import read_recipe
 from dynahoi_lerobot.pretrain.snapshots import ImageStream
 
@@ -18,8 +19,8 @@ def setting(text: str) -> tuple[str, Any]:
     """Parse ``KEY=VALUE``, the value as YAML."""
     key, separator, value = text.partition("=")
     try:
-        parsed = yaml.safe_load(value)
-    except yaml.YAMLError:
+        parsed = parsed_yaml(value)
+    except (ValueError, yaml.YAMLError):
         separator = ""
     if not separator:
         raise ArgumentTypeError(f"must be KEY=VALUE, the value as YAML, got {text!r}")

@@ -19,8 +19,9 @@ from torch import Tensor
 
 from dynahoi_lerobot.core.conventions import EGO_VIEW
 from dynahoi_lerobot.core.files import write_atomically
+from dynahoi_lerobot.core.reading import reading, require
 from dynahoi_lerobot.pretrain.recipe import PretrainRecipe
-from dynahoi_lerobot.pretrain.run_folder import RunFolder
+from dynahoi_lerobot.pretrain.run_folder import STATE, RunFolder
 from dynahoi_lerobot.pretrain.snapshots import ImageStream, Snapshots
 
 WEIGHTS = "eye.safetensors"
@@ -72,19 +73,25 @@ class Training:
 
     def __init__(self, recipe: PretrainRecipe, images: ImageStream) -> None:
         torch.manual_seed(recipe.seed)
-        self.recipe, self._images, eye = recipe, images, Eye(**recipe.eye)
-        eye.load_pretrained()
-        self._eye = eye.to(recipe.device)
+        self.recipe, self._images = recipe, images
+        try:
+            eye = Eye(**recipe.eye)
+            eye.load_pretrained()
+            self._eye = eye.to(recipe.device)
+        except Exception as error:  # whatever options and devices that do not exist make torch raise
+            raise ValueError(f"eye is {recipe.eye} on {recipe.device!r}, which cannot be made: {error}") from error
         pose, (focal_px, _, centre_px, _) = images.camera
         carried = recipe.camera == EGO_VIEW
         self._camera = Pinhole.from_pose(pose.tolist(), centre_px / focal_px, carried=carried).to(recipe.device)
         self.optimizer = torch.optim.AdamW(eye.parameters(), lr=0.0, weight_decay=1e-4)
         self.n_updates, self._spent_s = 0, 0.0
         self._folder = RunFolder(recipe.out, draccus.encode(replace(recipe, out=Path())))
-        if state := self._folder.restore():
-            self.n_updates, self._spent_s = state["updates"], state["processor_s"]
-            self._eye.load_state_dict(state["weights"])
-            self.optimizer.load_state_dict(state["optimizer"])
+        with reading(recipe.out / STATE):
+            if state := self._folder.restore():
+                require(state, {"updates": int, "processor_s": float})
+                self.n_updates, self._spent_s = state["updates"], state["processor_s"]
+                self._eye.load_state_dict(state["weights"])
+                self.optimizer.load_state_dict(state["optimizer"])
 
     @property
     def finished(self) -> bool:

@@ -4,10 +4,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import draccus
-
 from dynahoi_lerobot.core.conventions import EGO_VIEW
-from dynahoi_lerobot.core.reading import read_yaml
+from dynahoi_lerobot.core.reading import decoded, read_yaml, reading
 from dynahoi_lerobot.renderers.views import CAMERAS
 from dynahoi_lerobot.sampling.recipe import Recipe
 
@@ -64,9 +62,7 @@ def read_recipe(path: Path, **changes: Any) -> PretrainRecipe:
     """Read a recipe from YAML, with some values changed.
 
     Raises:
-        ValueError: if the file is refused by ``read_yaml``, or holds an unknown key or value.
+        ReadError: if the file is refused by ``read_yaml``, or holds an unknown key or value.
     """
-    try:
-        return draccus.decode(PretrainRecipe, read_yaml(path) | changes)
-    except draccus.utils.DraccusException as error:
-        raise ValueError(f"{path}: {error.__cause__ or error}") from error
+    with reading(path):
+        return decoded(PretrainRecipe, read_yaml(path) | changes)

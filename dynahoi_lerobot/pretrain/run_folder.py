@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from dynahoi_lerobot.core.files import write_atomically
-from dynahoi_lerobot.core.reading import WEIGHTS_BYTES, read_text, reading, regular
+from dynahoi_lerobot.core.reading import WEIGHTS_BYTES, read_text, reading, regular_zip
 from dynahoi_lerobot.core.working_folder import working_folder
 
 LOG, STATE = "log.jsonl", "state.pt"
@@ -43,7 +43,7 @@ class RunFolder:
             (self.path / LOG).unlink(missing_ok=True)
             return None
         with reading(self.path / STATE):
-            state = torch.load(regular(self.path / STATE, WEIGHTS_BYTES), weights_only=True, map_location="cpu")
+            state = torch.load(regular_zip(self.path / STATE, WEIGHTS_BYTES), weights_only=True, map_location="cpu")
             log = str(state["log"])
         (self.path / LOG).write_text(log)
         return state

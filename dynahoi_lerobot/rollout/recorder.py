@@ -127,7 +127,6 @@ class WorldRecorder:
         columns |= {
             "captured": self._padded(rule.captured(track)),
             "succeeded": next_frames(self._padded(rule.succeeded(track))),
-            "intercept_time": spec.intercept_frame * CONTROL_DT,
         }
         return Episode(
             meta=episode_meta(self.job, rule.name, batch.control.name, actor),
@@ -202,6 +201,7 @@ def episode_constants(batch: WorldBatch, spec: EpisodeSpec, meeting: Meeting | N
         "home_position": spec.home_pos_w,
         "target_path": spec.target_path_w - spec.home_pos_w,
         "intercept_position": spec.intercept_pos_h,
+        "intercept_time": spec.intercept_frame * CONTROL_DT,
         "open_joints": spec.open_joints,
         "reference_joints": spec.reference_joints,
         "ego_camera": camera_pose(model, EGO_VIEW),

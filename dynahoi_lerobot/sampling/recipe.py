@@ -3,20 +3,17 @@
 import dataclasses
 import hashlib
 import json
-import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
-
-import draccus
 
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.core.arguments import option
 from dynahoi_lerobot.core.control_mode import CONTROL_MODES, JOINTS
 from dynahoi_lerobot.core.conventions import DEFAULT_IMAGE_SIZE_PX, DETECTOR_IMAGE_SIZE_PX
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATES, EYE, Feature, frame_features
-from dynahoi_lerobot.core.reading import read_yaml
+from dynahoi_lerobot.core.reading import decoded, read_yaml, reading
 from dynahoi_lerobot.core.registry import known
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS, DEFAULT_PROTOCOL, PROTOCOLS
 from dynahoi_lerobot.experts import EXPERTS
@@ -235,21 +232,9 @@ def load_recipe(path: Path | None) -> Recipe:
     """Read a recipe from YAML; the default recipe for None.
 
     Raises:
-        ValueError: if the file does not exist, is refused by ``read_yaml`` or holds an unknown key or value.
+        ReadError: if the file does not exist, is refused by ``read_yaml`` or holds an unknown key or value.
     """
     if path is None:
         return Recipe()
-    if not os.path.isfile(path):  # unlike Path.is_file, False for names that no file can have
-        raise ValueError(f"there is no recipe at {path}")
-    values = read_yaml(path)
-    for name, value in values.items():
-        if value is None or (isinstance(value, list) and None in value):
-            raise ValueError(f"{path}: {name} must not be null; leave it out for its default")
-    for name in ("motions", "objects", "appearance", "views"):
-        if isinstance(text := values.get(name), str):  # whose letters draccus would take for names
-            raise ValueError(f"{path}: {name} must be a list, got {text!r}; write [{text}]")
-    try:
-        return draccus.decode(Recipe, values)
-    except draccus.utils.DraccusException as error:
-        told = error if isinstance(error, draccus.utils.DecodingError) else error.__cause__ or error
-        raise ValueError(f"{path}: {told}") from error
+    with reading(path):
+        return decoded(Recipe, read_yaml(path))

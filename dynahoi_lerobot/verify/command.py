@@ -8,13 +8,12 @@ from dataclasses import asdict, dataclass
 from itertools import chain
 from pathlib import Path
 
-import draccus
 import numpy as np
 from tqdm import tqdm
 
 from dynahoi_lerobot.core.arguments import argument, option, whole
 from dynahoi_lerobot.core.escaping import printable
-from dynahoi_lerobot.core.reading import ReadError, reading
+from dynahoi_lerobot.core.reading import ReadError, decoded, reading
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import MANIFEST_PATH
 from dynahoi_lerobot.dataset.store import Store
@@ -136,7 +135,7 @@ def _recipe(manifest: Manifest) -> Recipe | None:
     """Return the recipe that the manifest names; None if it names none, or none that this project can read."""
     with suppress(ReadError), reading(Path(MANIFEST_PATH)):
         stored = manifest.provenance.get("recipe")
-        return None if stored is None else draccus.decode(Recipe, stored)
+        return None if stored is None else decoded(Recipe, stored)
     return None
 
 

@@ -16,7 +16,7 @@ from dynahoi_lerobot.dataset.episode_table import FACTS, EpisodeRow
 from dynahoi_lerobot.dataset.manifest import Manifest, changed_files, structure_problems
 from dynahoi_lerobot.dataset.paths import CODEBASE_VERSION, DATA_PATH, MANIFEST_PATH, TASKS_PATH, VIDEO_PATH, check_root
 from dynahoi_lerobot.dataset.store import Store
-from dynahoi_lerobot.dataset.video import stored_packets
+from dynahoi_lerobot.dataset.video import stored_packets, stream_problem
 
 TOOL = "another tool, such as lerobot-edit-dataset, has edited this dataset"
 SHOWN = 4
@@ -133,6 +133,8 @@ def video_problems(store: Store) -> Iterator[str]:
         name, start = path.relative_to(store.root), 0
         try:
             keyed = [packet.is_keyframe for packet in stored_packets(path)]
+            if problem := stream_problem(path):
+                yield f"{name} {problem}"
         except (OSError, FFmpegError, IndexError, ValueError) as error:
             yield f"{name} cannot be read as a video: {error}"
             continue

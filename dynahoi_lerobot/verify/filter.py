@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from dynahoi_lerobot.core.arguments import argument, option
+from dynahoi_lerobot.core.reading import fits, reading
 from dynahoi_lerobot.dataset.columns import BOOKKEEPING, numeric_keys
 from dynahoi_lerobot.dataset.merge import copy_subset
 from dynahoi_lerobot.dataset.store import Store, frame_column
@@ -72,12 +73,14 @@ def find_outliers(root: Path, margin: float = MARGIN, column: str = "action") ->
     known = [key for key in numeric_keys(store.features) if key not in BOOKKEEPING]
     if column not in known:
         raise ValueError(f"there is no column {column!r}; known: {', '.join(known)}")
-    values = frame_column(root, column).astype(float)
+    with reading(root):
+        values = frame_column(root, column).astype(float)
     q01, q99 = np.quantile(np.where(np.isfinite(values), values, np.inf), [0.01, 0.99], axis=0, method="inverted_cdf")
     if not np.isfinite([q01, q99]).all():
         raise ValueError(f"{column} is often not finite, so it has no robust range; see `dynahoi verify {root}`")
     low, high = q01 - margin * (q99 - q01), q99 + margin * (q99 - q01)
-    names = store.features[column]["names"] or range(len(low))
+    if not fits(names := store.features[column].get("names"), list[str]) or len(names) != len(low):
+        names = range(len(low))
     outliers: dict[int, str] = {}
     for row in store.rows:
         part = values[row["dataset_from_index"] : row["dataset_to_index"]]

@@ -10,8 +10,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import draccus
 import numpy as np
+import pyarrow.compute as pc
 from av.container import OutputContainer
 from av.packet import Packet
 from av.video.stream import VideoStream
@@ -21,7 +21,7 @@ from dynahoi_lerobot.core.features import (
     IMAGE_PREFIX,
     episode_features,
 )
-from dynahoi_lerobot.core.reading import open_table, read_object, read_rows, read_table
+from dynahoi_lerobot.core.reading import decoded, open_table, read_object, read_rows, read_table
 from dynahoi_lerobot.dataset.columns import LANGUAGE, described_features
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, row_stats
 from dynahoi_lerobot.dataset.manifest import NOT_OURS, Manifest
@@ -55,7 +55,7 @@ def meta_problems(store: Store, manifest: Manifest) -> Iterator[str]:
             yield from _repeats(episode, index, seen)
             writer.repeat(episode, row, episode_packets(store, row, opened))
         made = writer.finish(manifest.provenance, manifest.yields)
-        yield from _facts(manifest, made)
+        yield from _facts(manifest, made, sum(not row["success"] for row in store.rows))
         for name in sorted({*made.files, *writer.videos, *manifest.files} - (set(NOT_OURS) - set(made.files))):
             stored, again = store.root / name, writer.root / name
             if name not in made.files and name not in writer.videos:
@@ -70,13 +70,17 @@ def meta_problems(store: Store, manifest: Manifest) -> Iterator[str]:
                 yield f"{name} is not what the card's template makes of the dataset"
 
 
-def _facts(said: Manifest, made: Manifest) -> Iterator[str]:
+def _facts(said: Manifest, made: Manifest, failed: int) -> Iterator[str]:
     """Yield what a manifest says otherwise than the episodes give."""
     for name in ("episodes", "frames", "seeds", "benchmark"):
         if (one := getattr(said, name)) != (other := getattr(made, name)):
             yield f"{MANIFEST_PATH} says {name} is {short(one)}; the episodes give {short(other)}"
-    if said.yields and said.yields.get("kept") != made.episodes:
-        yield f"{MANIFEST_PATH} says that {said.yields.get('kept')} episodes were kept, not {made.episodes}"
+    if (told := said.yields) or ("recipe" in said.provenance and "kept" not in said.provenance):
+        counts = {"kept": made.episodes, "failed": failed} | {
+            name: told.get(name, 0) for name in ("missed", "rejected")
+        }
+        if told != (counts := counts | {"tried": made.episodes + counts["missed"] + counts["rejected"]}):
+            yield f"{MANIFEST_PATH} says yields is {short(told)}; the episodes give {short(counts)}"
 
 
 def _signed(path: Path, name: str, manifest: Manifest) -> bool:
@@ -110,8 +114,8 @@ class _Again(DatasetWriter):
     def __init__(self, root: Path, store: Store, manifest: Manifest) -> None:
         plan, described = manifest.provenance, store.features
         if "recipe" in plan:
-            columns = (*draccus.decode(Recipe, plan["recipe"]).features(), *episode_features())
-            encoding, subtasks = Encoding(**plan["encoding"]), plan["subtasks"]
+            columns = (*decoded(Recipe, plan["recipe"]).features(), *episode_features())
+            encoding, subtasks = decoded(Encoding, plan["encoding"]), plan["subtasks"]
         else:
             columns = (*described_features(described).values(), *store.array_features)
             encoding, subtasks = store.encoding, LANGUAGE in described
@@ -168,7 +172,7 @@ def _repeats(episode: Episode, index: int, seen: dict[bytes, int]) -> Iterator[s
 
 
 def _table(stored: Path, again: Path, tolerance: Callable[[str, int], float]) -> Iterator[str]:
-    """Yield how a table is other than it is made again; images in it are not compared."""
+    """Yield how a table is other than it is made again; of images in it only the names are compared."""
     one, other = open_table(stored, ()).schema_arrow, open_table(again, ()).schema_arrow
     if not one.equals(other, check_metadata=True):
         yield f" has the columns {short(one)}; {short(other)} are made again"
@@ -185,9 +189,10 @@ def _table(stored: Path, again: Path, tolerance: Callable[[str, int], float]) ->
         yield f" has {len(found)} rows, not {len(wanted)}"
         return
     for name in other.names:
-        if not name.startswith(IMAGE_PREFIX) and not found[name].equals(wanted[name]):
-            row = next(i for i, pair in enumerate(zip(found[name], wanted[name], strict=True)) if pair[0] != pair[1])
-            yield f", row {row}: {name} is {short(found[name][row])}, not {short(wanted[name][row])}"
+        pair = [pc.struct_field(t[name], "path") if name.startswith(IMAGE_PREFIX) else t[name] for t in (found, wanted)]
+        if not pair[0].equals(pair[1]):
+            row = next(i for i, (one, other) in enumerate(zip(*pair, strict=True)) if one != other)
+            yield f", row {row}: {name} is {short(pair[0][row])}, not {short(pair[1][row])}"
 
 
 def _object(found: Any, wanted: Any) -> Iterator[str]:

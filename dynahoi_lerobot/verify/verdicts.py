@@ -13,7 +13,7 @@ from dynahoi_lerobot.captures import CAPTURES, CaptureRule, Track
 from dynahoi_lerobot.core.conventions import CONTROL_DT, FINGERS
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.numerics import matrix_to_rotvec, quat_to_matrix, segment_distance
-from dynahoi_lerobot.core.rules import is_acting
+from dynahoi_lerobot.core.rules import CONTROL_CLASSES, one_hot_phase
 from dynahoi_lerobot.dataset.quality_control import not_finite
 from dynahoi_lerobot.objects.primitives import from_table
 from dynahoi_lerobot.rollout.recorder import TOUCH_M, next_frames
@@ -46,7 +46,11 @@ def verdict_problems(episode: Episode, hand: str | None) -> Iterator[str]:
     tips = tip_distances(episode)  # (T, 5)
     yield from filter(None, (_palm(episode), _tips(episode, tips), _contacts(episode, rule, tips)))
     track = _track(episode)
-    commanded = np.concatenate([[False], is_acting(episode.phase)[:-1]])  # (T,) in the step that ends at the frame
+    latency = CONTROL_CLASSES[episode.meta.control_class].latency_frames
+    acting = np.arange(len(episode)) + latency >= episode.meta.window_frames  # (T,)
+    if not np.array_equal(episode.phase, one_hot_phase(acting)):
+        yield f"phase is not that of an episode that is observed for {episode.meta.window_frames} frames"
+    commanded = np.concatenate([[False], acting[:-1]])  # (T,) in the step that ends at the frame
     localized = np.maximum.accumulate((episode.palm_distance < rule.localization_radius_m) & commanded)
     before = np.zeros(episode.meta.window_frames, bool)
     flags = {

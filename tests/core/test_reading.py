@@ -7,13 +7,14 @@ import signal
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import torch
+from lerobot.configs import PolicyFeature
 from safetensors.torch import load_file, save_file
 
 from dynahoi_lerobot.core.reading import (
@@ -171,9 +172,23 @@ def test_a_value_has_the_type_that_is_declared() -> None:
         (None, int | None),
         ({"x": [1]}, dict[str, list[int]]),
         ([], list[str]),
+        (["x"], tuple[str, ...]),
+        ([1, 2], tuple[int, int] | None),
+        ({"type": "STATE", "shape": [18]}, PolicyFeature),
+        (3, TypeVar("T")),
     ):
         assert fits(value, hint)
-    for value, hint in ((True, int), (False, float), ("3", int), (1.5, int), ({"x": [True]}, dict[str, list[int]])):
+    for value, hint in (
+        (True, int),
+        (False, float),
+        ("3", int),
+        (1.5, int),
+        ({"x": [True]}, dict[str, list[int]]),
+        ("x", tuple[str, ...]),
+        ([1], tuple[int, int]),
+        ({"type": "SMELL", "shape": [18]}, PolicyFeature),
+        ({"type": "STATE", "shape": "18"}, PolicyFeature),
+    ):
         assert not fits(value, hint), (value, hint)
 
 

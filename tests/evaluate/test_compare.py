@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.core.registry import UnknownNameError
-from dynahoi_lerobot.evaluate.compare import COMMANDS, CROSSABLE, compare, mcnemar, paired_values
+from dynahoi_lerobot.evaluate.compare import COMMANDS, CROSSABLE, compare, mcnemar, paired_values, sign_flip
 from dynahoi_lerobot.evaluate.results import Results, RunInfo
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 
@@ -37,6 +37,15 @@ def test_mcnemar_of_many_episodes_does_not_overflow():
     assert mcnemar(900, 1100) == pytest.approx(8.5e-6, rel=0.1)
 
 
+def test_means_of_few_episodes_are_never_significant_and_chance_is_seldom():
+    for n in range(1, 6):
+        assert sign_flip(np.linspace(0.9, 1.1, n)) == 2 / 2**n > 0.05
+    assert sign_flip(np.array([3.0, 1.0, -2.0])) == 0.75  # all but two of eight sums are as far from 0
+    assert sign_flip(np.full(40, 0.1)) == 1 / 2001
+    by_chance = [sign_flip(np.random.default_rng(seed).normal(size=n)) < 0.05 for n in (8, 20) for seed in range(300)]
+    assert 0.02 < np.mean(by_chance) < 0.08
+
+
 def test_rates_are_compared_by_their_discordant_episodes():
     found = compare(results([1.0] * 6 + [0.0] * 4), results([1.0] + [0.0] * 9), "S_loc")
     assert (found.n, found.value) == (10, pytest.approx(0.5))
@@ -48,7 +57,7 @@ def test_a_constant_paired_difference_has_no_spread():
     a, b = results([1.0, 2.0, 3.0, 9.0], "E_loc"), results([0.5, 1.5, 2.5, 8.5], "E_loc")
     found = compare(a, b, "E_loc")
     assert (found.value, found.low, found.high) == (0.5, 0.5, 0.5)
-    assert found.p_value < 0.01
+    assert found.p_value == 2 / 16
     assert compare(b, a, "E_loc").value == -0.5
     same = compare(a, a, "E_loc")
     assert (same.value, same.low, same.high, same.p_value) == (0.0, 0.0, 0.0, 1.0)

@@ -44,10 +44,13 @@ BAD_FILES: dict[str, tuple[str | bytes, str]] = {
     "an unknown field": ("splt: train\n", "splt"),
     "an unknown name": ("motions: [latteral]\n", "latteral"),
     "a wrong type": ("image_size: large\n", "large"),
-    "a text for a list": ("motions: lateral\n", "[lateral]"),
-    "null for a list": ("motions: null\n", "motions must not be null"),
-    "null in a list": ("motions: [null]\n", "motions must not be null"),
-    "null for a number": ("image_size: null\n", "image_size must not be null"),
+    "a text for a list": ("motions: lateral\n", "motions must be of type list[str], got 'lateral'"),
+    "null for a list": ("motions: null\n", "motions must be of type list[str], got None"),
+    "null in a list": ("motions: [null]\n", "motions must be of type list[str], got [None]"),
+    "null for a number": ("image_size: null\n", "image_size must be of type int, got None"),
+    "a list for a text": ("expert: [x]\n", "expert must be of type str, got ['x']"),
+    "a text for a number": ("image_size: '64'\n", "image_size must be of type int, got '64'"),
+    "a flag for a number": ("path_speed: true\n", "path_speed must be of type float, got True"),
     "deep lists": ("motions: " + "[" * 20_000, ""),
     "another encoding": (b"split: tr\xe4in", ""),
     "a number of 5,000 digits": ("image_size: " + "9" * 5_000, ""),
@@ -91,8 +94,8 @@ def test_kinds_that_no_object_of_the_recipe_can_perform_are_left_out():
 
 def test_a_recipe_file_gives_the_recipe(tmp_path: Path):
     path = tmp_path / "recipe.yaml"
-    path.write_text("split: val\nmotions: [lateral, ramp]\nimage_size: 64\nperturbed_share: 0.5\n")
-    assert load_recipe(path) == Recipe(split="val", motions=("lateral", "ramp"), image_size=64, perturbed_share=0.5)
+    path.write_text("split: val\nmotions: [lateral, ramp]\nimage_size: 64\nperturbed_share: 25e-2\n")
+    assert load_recipe(path) == Recipe(split="val", motions=("lateral", "ramp"), image_size=64, perturbed_share=0.25)
     path.write_text("# everything as usual\n")
     assert load_recipe(path) == Recipe()
 

@@ -2,17 +2,20 @@
 
 import dataclasses
 import shutil
-from collections.abc import Callable
+import struct
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import av
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.dataset import read_episodes
 from dynahoi_lerobot.verify.command import verify
-from tests.dataset.episodes import rewrite, sign
+from tests.dataset.episodes import changed, rewrite, sign
 from tests.tools import edit_json, generated
 
 DATA, ROWS, TASKS = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet", "meta/tasks.parquet"
@@ -139,6 +142,40 @@ def further_file(path: str, source: str) -> Forgery:
     return copy
 
 
+def rewritten(change: Callable[[Episode], Episode]) -> Forgery:
+    """Change the first episode, and all that follows from it."""
+
+    def apply(root: Path) -> None:
+        first, *others = read_episodes(root)
+        rewrite(root, [change(first), *others])
+
+    return apply
+
+
+def container(*, rate: int = 1, further: bool = False, matrix: Sequence[int] = ()) -> Forgery:
+    """Put the packets of a video into another file: at ``rate`` times the pace, beside a stream, or turned."""
+
+    def apply(root: Path) -> None:
+        path, made = root / VIDEO, root / "again.mp4"
+        with av.open(str(path)) as source, av.open(str(made), "w") as target:
+            streams = [target.add_stream_from_template(source.streams.video[0]) for _ in range(1 + further)]
+            for packet in source.demux(video=0):
+                content, at, key = bytes(packet), packet.pts, packet.is_keyframe
+                for stream in streams if content else ():
+                    copy = av.Packet(content)
+                    copy.stream, copy.time_base, copy.is_keyframe = stream, packet.time_base, key
+                    copy.pts = copy.dts = at * rate
+                    target.mux(copy)
+        content = made.read_bytes()
+        if matrix:
+            place = content.index(b"tkhd") + 44
+            content = content[:place] + struct.pack(">9i", *matrix) + content[place + 36 :]
+        path.write_bytes(content)
+        made.unlink()
+
+    return apply
+
+
 META: dict[str, Forgery] = {
     "instructions exchanged": column(TASKS, "task", swapped),
     "instructions in another order": table(TASKS, lambda found: found.take([1, 0, *range(2, len(found))])),
@@ -209,6 +246,8 @@ META: dict[str, Forgery] = {
     "counts in the manifest": told(MANIFEST, "frames", value=lambda frames: frames + 1),
     "yields": told(MANIFEST, "yields", "kept", value=9),
     "benchmark": told(MANIFEST, "benchmark", value="v0"),
+    "failures": told(MANIFEST, "yields", "failed", value=3),
+    "seeds that were tried": told(MANIFEST, "yields", "tried", value=lambda tried: tried + 1),
     "first seed of the plan": told(MANIFEST, "provenance", "seed", value=10),
     "recipe": told(MANIFEST, "provenance", "recipe", "control_class", value="unlimited"),
     "kinds of motion": column(ROWS, "motion", swapped),
@@ -217,6 +256,11 @@ META: dict[str, Forgery] = {
     "masses": column(ROWS, "stats/object_mass", swapped),
     "homes": column(ROWS, "stats/home_position", swapped),
     "paths": column(ROWS, "stats/target_path", lambda paths: [scaled([paths[0]])[0], *paths[1:]]),
+    "times of meeting": column(ROWS, "stats/intercept.time", scaled),
+    "phases": rewritten(changed("phase", 3, 0.5)),
+    "a video at another rate": container(rate=2),
+    "a second stream": container(further=True),
+    "a video turned by 90 degrees": container(matrix=(0, 65536, 0, -65536, 0, 0, 0, 0, 2**30)),
     "cameras": column(ROWS, "stats/ego_camera", lambda poses: [scaled([poses[0]])[0], *poses[1:]]),
     "split": column(ROWS, "split", lambda splits: ["test"] * len(splits)),
     "agent": column(ROWS, "agent", lambda agents: ["obact"] * len(agents)),

@@ -22,8 +22,10 @@ def export(checkpoint: Path, out: Path) -> None:
     policy.keep_average()
     policy.config.pretrained_path = None  # a place on this machine
     policy.save_pretrained(out)
-    on_cpu = {"preprocessor_overrides": {"device_processor": {"device": "cpu"}}}
-    for processor in make_pre_post_processors(policy.config, pretrained_path=str(checkpoint), **on_cpu):
+    on_cpu = {"device_processor": {"device": "cpu"}}
+    for processor in make_pre_post_processors(
+        policy.config, pretrained_path=str(checkpoint), preprocessor_overrides=on_cpu
+    ):
         processor.save_pretrained(out)
     training = checkpoint / "train_config.json"
     if training.is_file():
