@@ -79,7 +79,8 @@ def find_outliers(root: Path, margin: float = MARGIN, column: str = "action") ->
     if not np.isfinite([q01, q99]).all():
         raise ValueError(f"{column} is often not finite, so it has no robust range; see `dynahoi verify {root}`")
     low, high = q01 - margin * (q99 - q01), q99 + margin * (q99 - q01)
-    if not fits(names := store.features[column].get("names"), list[str]) or len(names) != len(low):
+    names = store.features[column].get("names")
+    if names is None or not fits(names, list[str]) or len(names) != len(low):
         names = range(len(low))
     outliers: dict[int, str] = {}
     for row in store.rows:

@@ -189,7 +189,9 @@ def _table(stored: Path, again: Path, tolerance: Callable[[str, int], float]) ->
         yield f" has {len(found)} rows, not {len(wanted)}"
         return
     for name in other.names:
-        pair = [pc.struct_field(t[name], "path") if name.startswith(IMAGE_PREFIX) else t[name] for t in (found, wanted)]
+        pair = [table[name] for table in (found, wanted)]
+        if name.startswith(IMAGE_PREFIX):
+            pair = [pc.call_function("struct_field", [cells], pc.StructFieldOptions("path")) for cells in pair]
         if not pair[0].equals(pair[1]):
             row = next(i for i, (one, other) in enumerate(zip(*pair, strict=True)) if one != other)
             yield f", row {row}: {name} is {short(pair[0][row])}, not {short(pair[1][row])}"
