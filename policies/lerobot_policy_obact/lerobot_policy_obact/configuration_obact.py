@@ -166,6 +166,11 @@ class ObActConfig(PreTrainedConfig):
         return self.freeze_encoder and self.forecast_weight > 0 and bool(self.rig.capture)
 
     @property
+    def exact(self) -> bool:
+        """Whether it acts in double precision: unless a part is a large network, or the device has none."""
+        return self.encoder != "transformers" and self.head != "gr00t" and self.device != "mps"
+
+    @property
     def grips(self) -> bool:
         """Whether the target must be gripped; the head then also reads how far each joint is closed."""
         return self.forecasts and self.rig.capture == CONTACT

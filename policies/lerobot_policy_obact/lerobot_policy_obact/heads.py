@@ -211,7 +211,7 @@ class ActionHead(nn.Module):
         unit = self._unit(log_scale)
 
         def towards_noise(x: Tensor, time: Tensor) -> Tensor:  # LeRobot's loop runs from time 1, noise, to 0, data
-            return -self.velocity(denoiser, x, 1 - time, context)
+            return -self.velocity(denoiser, x, (1 - time).to(x), context)
 
         options = {}
         if guidance is not None:

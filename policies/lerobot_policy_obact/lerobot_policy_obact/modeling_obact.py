@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self, cast
@@ -334,8 +335,20 @@ class ObActPolicy(PreTrainedPolicy):
         """The weights that act: the averaged ones."""
         return self.model if self.average is None else cast("ObActModel", self.average.module)
 
+    @property
+    def _player(self) -> ObActModel:
+        """The network that acts until the next reset, in double precision.
+
+        The last digits of a network depend on the size of the batch, on threads and on the processor, and the edge of an
+        object that moves by a pixel makes them grow. Actions that are rounded to single precision do not depend on them.
+        """
+        if not self._players:
+            self._players.append(deepcopy(self.acting).double() if self.config.exact else self.acting)
+        return self._players[0]
+
     def reset(self) -> None:
         """Forget the last episode."""
+        self._players: list[ObActModel] = []  # in a list, or PyTorch would save it with the weights
         self._history, self._outlook = History(), None
         self._frames: deque[Frames] = deque(maxlen=2)
         self._frame = -1  # the number of the newest one
@@ -373,9 +386,9 @@ class ObActPolicy(PreTrainedPolicy):
         self.eval()
         now_s, fps = time.monotonic(), self.config.rig.fps
         if self._frames and "timestamp" not in batch:
-            pairs = [(batch[key], self._images[key]) for key in self.config.cameras]
-            pairs.append((self._state_of(batch), self._frames[-1].state[:, 0]))
-            if all(torch.equal(new, old) for new, old in pairs):
+            (images, state), old = self._seen(batch), self._images
+            same = torch.equal(state, self._frames[-1].state[:, 0])
+            if same and all(torch.equal(image, old[key]) for key, image in images.items()):
                 return
             ticks = round((now_s - self._began_s) * fps)
             now_s = max(self._began_s + ticks / fps, self._now_s + 1 / fps)
@@ -417,8 +430,8 @@ class ObActPolicy(PreTrainedPolicy):
         Raises:
             ValueError: if the number of environments changed since `reset`.
         """
-        model, config = self.acting, self.config
-        state = self._state_of(batch)
+        model, config = self._player, self.config
+        now, state = self._seen(batch)
         if self._frames and len(self._frames[-1].state) != len(state):
             raise ValueError(
                 f"the batch changed from {len(self._frames[-1].state)} to {len(state)} environments: call "
@@ -429,7 +442,6 @@ class ObActPolicy(PreTrainedPolicy):
         self._now_s = time_s
         if not self._frames:
             self._began_s = time_s  # single precision keeps differences of such times, not times of day
-        now = {key: batch[key] for key in config.cameras}
         before = (self._images or now) if model.sees_motion else dict.fromkeys(now)
         sightings = model.encode_images({key: _pairs(now[key], before[key]) for key in now})
         self._images = now
@@ -437,13 +449,16 @@ class ObActPolicy(PreTrainedPolicy):
         self._frame += 1
         self._outlook = self._history.see(model, self._frames[-1])
 
-    def _state_of(self, batch: Batch) -> Tensor:
-        return torch.cat([batch[key] for key in self.config.state_keys], dim=-1)
+    def _seen(self, batch: Batch) -> tuple[dict[str, Tensor], Tensor]:
+        """Return the images and the vector observations of a batch, in the precision of the network."""
+        config, like = self.config, self._player.action_mean
+        state = torch.cat([batch[key] for key in config.state_keys], dim=-1)
+        return {key: batch[key].to(like) for key in config.cameras}, state.to(like)
 
     def _chunk(self, guidance: Guidance | None = None) -> Tensor:
         """Return the chunk for the newest frame, ``(B, H, A)``."""
         assert self._outlook is not None
-        model, frame, outlook = self.acting, self._frames[-1], self._outlook.at(0)
+        model, frame, outlook = self._player, self._frames[-1], self._outlook.at(0)
         context, origin = model.condition(outlook, self._due(), frame.state[:, 0])
         eyes, rays = model.belief.sighted(frame.sightings, frame.palm)
         seen, sighted = frame.sightings[:, 0], (eyes + rays)[:, 0]
@@ -451,7 +466,7 @@ class ObActPolicy(PreTrainedPolicy):
         if guidance is not None:
             leftover = guidance.leftover[:, : self.config.horizon]
             guidance = replace(guidance, leftover=model.normalise(leftover, origin[:, : leftover.shape[1]]))
-        return model.unnormalise(model.head.sample(context, self._frame, guidance), origin)
+        return model.unnormalise(model.head.sample(context, self._frame, guidance), origin).float()
 
     def _due(self) -> Tensor:
         """Return where the palm will be when the next command takes effect [m], ``(B, 3)``.
