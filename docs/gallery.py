@@ -3,7 +3,8 @@
 ``images/catch.gif`` shows two episodes of ``test`` played by ObAct, one caught and one narrowly missed;
 ``images/held.gif`` shows three of the contact track, of which it holds two;
 ``images/<category>.gif`` shows the expert catching a target of every kind of motion, ``images/contact_sheet.jpg`` the
-start, the control start and the catch of each. All are seen by the hand's camera.
+start, the control start and the catch of each. All are seen by the hand's camera. ``images/shadow.jpg`` shows what the
+Shadow Hand holds from three sides; it needs the extra `hands`, and OpenGL.
 """
 
 from collections.abc import Sequence
@@ -11,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import cv2
+import mujoco
 import numpy as np
 import torch
 
@@ -28,9 +30,9 @@ from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 
 IMAGES = Path(__file__).parent / "images"
-CAUGHT, MISSED = 926, 288  # seeds of `test`
-HELD, TOUCHED = (68, 90), 80
-PLAYED_PX, SHOWN_PX, HELD_PX, KIND_PX = 96, 256, 192, 128
+CAUGHT, MISSED = 926, 365  # seeds of `test`
+HELD, TOUCHED = (68, 90), 102
+PLAYED_PX, SHOWN_PX, HELD_PX, KIND_PX, GRASP_PX = 96, 256, 192, 128, 240
 SKIP = 2  # every second frame is shown, at half the rate
 AFTER_CATCH, AFTER_MISS = 12, 3  # frames that are shown beyond the catch or the closest approach
 BORDER_PX = 4
@@ -91,6 +93,25 @@ def contact_sheet() -> None:
     cv2.imwrite(str(IMAGES / "contact_sheet.jpg"), cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR), JPEG)
 
 
+def robot_hand() -> None:
+    """Draw what the expert holds with the Shadow Hand, from three sides."""
+    recipe = Recipe(split="val", capture="contact", hand="shadow", motions=("constant",), objects=("ball",))
+    batch = WorldBatch(recipe, 1)
+    next(evaluate(batch, EXPERTS["match"](), sample_specs(recipe, [0])))
+    model = batch._batch.get_model(0)
+    batch._batch.get_data(0, data := mujoco.MjData(model))
+    mujoco.mj_forward(model, data)
+    images = []
+    with mujoco.Renderer(model, GRASP_PX, GRASP_PX) as renderer:
+        for azimuth in (150, -60, 30):
+            camera = mujoco.MjvCamera()
+            camera.lookat[:], camera.distance = data.qpos[batch.scene.hand_qpos[:3]], 0.45
+            camera.azimuth, camera.elevation = azimuth, -15
+            renderer.update_scene(data, camera)
+            images.append(renderer.render())
+    cv2.imwrite(str(IMAGES / "shadow.jpg"), cv2.cvtColor(np.hstack(images), cv2.COLOR_RGB2BGR), JPEG)
+
+
 def _strip(episode: Episode) -> np.ndarray:
     """Return the label and three moments of an episode, (H, W, 3) uint8 RGB."""
     caught = episode.first_localized or len(episode) - 1
@@ -134,3 +155,4 @@ if __name__ == "__main__":
     contact()
     motions()
     contact_sheet()
+    robot_hand()

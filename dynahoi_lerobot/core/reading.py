@@ -50,14 +50,15 @@ class ReadError(ValueError):
 
 @contextmanager
 def reading(path: Path, *others: type[Exception]) -> Iterator[None]:
-    """Raise whatever a reader raises as a `ReadError` that names the file, but for ``others``."""
+    """Raise whatever a reader raises as a `ReadError` that names the file, or one in the folder, but for ``others``."""
     try:
         yield
     except (ReadError, *others):
         raise
     except Exception as error:  # what a damaged file makes a reader raise differs from library to library
         told = getattr(error, "strerror", None) or str(error) or type(error).__name__
-        raise ReadError(f"{path} cannot be read: {' '.join(told.split())[:300]}") from error
+        file = getattr(error, "filename", None) or path
+        raise ReadError(f"{file} cannot be read: {' '.join(told.split())[:300]}") from error
 
 
 @contextmanager

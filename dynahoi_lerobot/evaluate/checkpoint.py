@@ -300,9 +300,11 @@ def _config(folder: Path, settings: Sequence[str]) -> Any:
     if (kind := told.get("type")) not in PreTrainedConfig.get_known_choices():
         package = PLUGINS.get(str(kind), f"lerobot_policy_{kind}")
         raise PolicyError(f"{folder / CONFIG} is of type {kind!r}, which is not installed: install {package}")
-    hints = get_type_hints(PreTrainedConfig.get_choice_class(str(kind)))
+    choice = PreTrainedConfig.get_choice_class(str(kind))
+    hints = get_type_hints(choice)
+    usual = {entry.name: entry.default for entry in fields(choice)}  # which need not be of the declared type
     with reading(folder / CONFIG):
-        require(told, {name: hint for name, hint in hints.items() if name in told})
+        require(told, {name: hints[name] for name in told if name in hints and told[name] != usual.get(name)})
     try:
         config = PreTrainedConfig.from_pretrained(str(folder))
     except Exception as error:

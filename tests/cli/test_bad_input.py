@@ -65,7 +65,7 @@ CASES = [
     (f"{GENERATE} --gop 0", "gop is 0"),
     (f"{GENERATE} --codec images --preset fast", "preset is 'fast'; images has none"),
     (f"{GENERATE} --workers 0", "--workers: must be a whole number from 1 to 4096, got 0"),
-    (f"{GENERATE} --recipe recipe.yaml", "motions must be a list, got 'lob'; write [lob]"),
+    (f"{GENERATE} --recipe recipe.yaml", "motions must be of type list[str], got 'lob'"),
     (f"{GENERATE} --actor nowhere", "there is no policy 'nowhere'"),
     (f"{GENERATE} --actor user/name --trust", "--trust needs a folder as the actor, got 'user/name'"),
     (f"{GENERATE} --perturbed-share 1.5", "perturbed_share must be 0 to 1, got 1.5"),

@@ -211,6 +211,7 @@ REASONS: dict[str, Callable[[], bool]] = {
     "needs FFmpeg's libraries": lambda: not _torchcodec_works(),
     "waits for a person or the clock": lambda: True,
     "needs the file above in the checkout; tests/docs/test_worked_example.py does that in a copy": lambda: True,
+    "needs the table above in the checkout; tests/test_robot_hands.py tries the tables that there are": lambda: True,
 }
 """Why a block is not run, and whether that holds here."""
 

@@ -339,8 +339,8 @@ class ObActPolicy(PreTrainedPolicy):
     def _player(self) -> ObActModel:
         """The network that acts until the next reset, in double precision.
 
-        The last digits of a network depend on the size of the batch, on threads and on the processor, and the edge of an
-        object that moves by a pixel makes them grow. Actions that are rounded to single precision do not depend on them.
+        The last digits of a network depend on the size of the batch, on threads and on the processor, and an edge that
+        moves by a pixel makes them grow. Actions that are rounded to single precision do not depend on them.
         """
         if not self._players:
             self._players.append(deepcopy(self.acting).double() if self.config.exact else self.acting)
@@ -430,7 +430,7 @@ class ObActPolicy(PreTrainedPolicy):
         Raises:
             ValueError: if the number of environments changed since `reset`.
         """
-        model, config = self._player, self.config
+        model = self._player
         now, state = self._seen(batch)
         if self._frames and len(self._frames[-1].state) != len(state):
             raise ValueError(
