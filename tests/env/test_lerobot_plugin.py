@@ -25,6 +25,7 @@ from lerobot_env_dynahoi.configuration_dynahoi import DynahoiEnvConfig
 
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import Results, read_results
+from dynahoi_lerobot.evaluate.rows import episode_row
 from dynahoi_lerobot.motions import CATEGORIES
 from dynahoi_lerobot.rollout.inference import Inference, RealTimeAgent
 from dynahoi_lerobot.rollout.loop import evaluate
@@ -55,6 +56,26 @@ def test_lerobots_loop_fills_the_result_folder(act: Path, tmp_path: Path, monkey
     summary = results.summary
     assert summary["S_loc"].n == 10
     assert (summary["E_loc"].value or 0.0) > 0.3
+
+
+@pytest.mark.parametrize("policy", ["actor", pytest.param(SHIPPED, marks=pytest.mark.slow)])
+def test_lerobots_loop_and_ours_give_the_same_rows(policy, request, tmp_path, monkeypatch):
+    """Of a policy that samples, in worlds of its own here and together there."""
+    folder, size = (SHIPPED, 96) if policy == SHIPPED else (request.getfixturevalue(policy), 32)
+    options = ("--env.task=constant,lob", "--env.split=val", f"--env.image_size={size}", "--eval.batch_size=1")
+    found = through_lerobot(folder, tmp_path, monkeypatch, *options)
+    agent, recipe = PolicyAgent(str(folder), "cpu"), found.recipe()
+    specs = sample_specs(recipe, [row["seed"] for row in found.rows])
+    ours = {episode.meta.seed: episode for episode in evaluate(WorldBatch(recipe, len(specs)), agent, specs)}
+    assert len(ours) == 4
+    for row, actions in zip(found.rows, found.actions, strict=True):
+        episode = ours[row["seed"]]
+        np.testing.assert_array_equal(actions, np.float32(episode.action))
+        wanted = episode_row(episode)
+        told = {name: value for name, value in row.items() if not (isinstance(value, float) and np.isnan(value))}
+        assert [name for name, value in told.items() if value != wanted[name]] == ["agent"]
+    tasks = json.loads((tmp_path / "lerobot" / "eval_info.json").read_text())["per_task"]
+    assert [s for task in tasks for s in task["metrics"]["successes"]] == [row["success"] for row in found.rows]
 
 
 def test_a_salt_stays_hidden(act: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -445,7 +445,8 @@ class ObActPolicy(PreTrainedPolicy):
         before = (self._images or now) if model.sees_motion else dict.fromkeys(now)
         sightings = model.encode_images({key: _pairs(now[key], before[key]) for key in now})
         self._images = now
-        self._frames.append(Frames(sightings[:, None], state[:, None], state.new_tensor([time_s - self._began_s])))
+        elapsed_s = round(time_s - self._began_s, 4)  # the same by timestamps in single precision as by counting
+        self._frames.append(Frames(sightings[:, None], state[:, None], state.new_tensor([elapsed_s])))
         self._frame += 1
         self._outlook = self._history.see(model, self._frames[-1])
 
