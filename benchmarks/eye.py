@@ -23,7 +23,7 @@ from dynahoi_lerobot.core.conventions import EGO_VIEW, PALM_DOF
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.pretrain.recipe import PretrainRecipe
-from dynahoi_lerobot.pretrain.snapshots import ImageStream, Snapshots, snapshots
+from dynahoi_lerobot.pretrain.snapshots import Snapshots, calibration, snapshots
 from dynahoi_lerobot.rollout.loop import Session
 from dynahoi_lerobot.rollout.recorder import Job
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -53,7 +53,7 @@ def main() -> None:
     eye = Eye(weights=args.eye).eval()
     eye.load_pretrained()
     eye_recipe = PretrainRecipe(Path(), args.camera, episodes=recipe, n_episodes=1, batch_size=1, images=1)
-    pose, (focal_px, _, centre_px, _) = ImageStream(eye_recipe).camera
+    pose, (focal_px, _, centre_px, _) = calibration(eye_recipe)
     camera = Pinhole.from_pose(pose.tolist(), centre_px / focal_px, carried=args.camera == EGO_VIEW)
     batch = WorldBatch(recipe, args.batch_size, threads=1)
     random = snapshots(batch, specs, np.random.default_rng(1), args.camera)

@@ -12,7 +12,6 @@ import yaml
 from dynahoi_lerobot.core.arguments import option
 from dynahoi_lerobot.core.reading import parsed_yaml
 from dynahoi_lerobot.pretrain.recipe import read_recipe
-from dynahoi_lerobot.pretrain.snapshots import ImageStream
 
 
 def setting(text: str) -> tuple[str, Any]:
@@ -50,7 +49,7 @@ def run(options: Options) -> int:
         return 1
     changes = dict(options.set) | ({} if options.out is None else {"out": str(options.out)})
     recipe = read_recipe(options.recipe, **changes)
-    training = Training(recipe, ImageStream(recipe))
+    training = Training(recipe)
     if training.finished:
         print(f"{recipe.out}: already trained on all {recipe.images} images")
     try:

@@ -3,9 +3,8 @@
 import math
 import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from itertools import islice
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +15,14 @@ from lerobot_policy_obact.camera import Pinhole
 from lerobot_policy_obact.encoders import Eye
 from safetensors.torch import save_file
 from torch import Tensor
+from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from dynahoi_lerobot.core.conventions import EGO_VIEW
 from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.core.reading import reading, require
 from dynahoi_lerobot.pretrain.recipe import PretrainRecipe
 from dynahoi_lerobot.pretrain.run_folder import STATE, RunFolder
-from dynahoi_lerobot.pretrain.snapshots import ImageStream, Snapshots
+from dynahoi_lerobot.pretrain.snapshots import ImageStream, calibration
 
 WEIGHTS = "eye.safetensors"
 HEAT_WEIGHT = 0.3
@@ -57,6 +57,25 @@ def _heat_loss(heat: Tensor, true: Tensor) -> Tensor:
     return -heat[torch.arange(len(heat)), cell[:, 1], cell[:, 0]] * (place == cell).all(-1)
 
 
+class RenderedImages(IterableDataset):
+    """What an eye is shown in the updates from ``first`` on: images ``(F, H, W, 6)`` uint8 and places ``(F, 3)`` [m].
+
+    Several workers take turns. Each begins a new stream of random numbers after every save.
+    """
+
+    def __init__(self, recipe: PretrainRecipe, first: int) -> None:
+        self._recipe, self._first = recipe, first
+
+    def __iter__(self) -> Iterator[tuple[Any, Any]]:
+        """Yield those of this worker."""
+        info, every = get_worker_info(), self._recipe.save_every
+        turn, n_workers = (0, 1) if info is None else (info.id, info.num_workers)
+        stream = ImageStream(self._recipe, (self._first + turn) % n_workers, n_workers)
+        for save, updates in groupby(range(self._first + turn, self._recipe.updates, n_workers), lambda i: i // every):
+            for _, shown in zip(updates, stream(save * every), strict=False):
+                yield shown.images, shown.place
+
+
 class Training:
     """A run of a recipe on images seen once each, which can be killed at any time and resumed from its last save.
 
@@ -65,22 +84,21 @@ class Training:
 
     Args:
         recipe: what to do.
-        images: what is shown.
 
     Attributes:
         n_updates: done so far.
     """
 
-    def __init__(self, recipe: PretrainRecipe, images: ImageStream) -> None:
+    def __init__(self, recipe: PretrainRecipe) -> None:
         torch.manual_seed(recipe.seed)
-        self.recipe, self._images = recipe, images
+        self.recipe = recipe
         try:
             eye = Eye(**recipe.eye)
             eye.load_pretrained()
             self._eye = eye.to(recipe.device)
         except Exception as error:  # whatever options and devices that do not exist make torch raise
             raise ValueError(f"eye is {recipe.eye} on {recipe.device!r}, which cannot be made: {error}") from error
-        pose, (focal_px, _, centre_px, _) = images.camera
+        pose, (focal_px, _, centre_px, _) = calibration(recipe)
         carried = recipe.camera == EGO_VIEW
         self._camera = Pinhole.from_pose(pose.tolist(), centre_px / focal_px, carried=carried).to(recipe.device)
         self.optimizer = torch.optim.AdamW(eye.parameters(), lr=0.0, weight_decay=1e-4)
@@ -96,41 +114,42 @@ class Training:
     @property
     def finished(self) -> bool:
         """Whether all images have been seen."""
-        return self.n_updates >= self._all_updates
-
-    @property
-    def _all_updates(self) -> int:
-        return self.recipe.images // self.recipe.batch_size
+        return self.n_updates >= self.recipe.updates
 
     def run(self) -> Iterator[dict[str, Any]]:
         """Learn until all images have been seen, then write the weights; yield a line of the log after each save.
 
         The weights are for the option ``weights`` of `Eye`. Raises what ``update`` raises.
         """
-        while not self.finished:
-            ahead = min(self.recipe.save_every, self._all_updates - self.n_updates)
-            losses = [self.update(shown) for shown in _prefetched(islice(self._images(self.n_updates), ahead))]
+        recipe, losses = self.recipe, []
+        shown = RenderedImages(recipe, self.n_updates)
+        context = "spawn" if recipe.workers else None  # a process that is forked from one that uses CUDA cannot
+        for images, place in DataLoader(shown, None, num_workers=recipe.workers, multiprocessing_context=context):
+            losses.append(self.update(images, place))
+            if self.n_updates % recipe.save_every and not self.finished:
+                continue
             minutes = round(self._processor_s() / 60, 3)
-            line = {"images": self.n_updates * self.recipe.batch_size, "processor_minutes": minutes}
+            line = {"images": self.n_updates * recipe.batch_size, "processor_minutes": minutes}
             line["loss"] = round(sum(losses) / len(losses), 4)
+            losses.clear()
             self._folder.log(line)
             self._save()
             yield line
         write_atomically({self.recipe.out / WEIGHTS: lambda path: save_file(self._eye.state_dict(), path)})
         self._folder.release()
 
-    def update(self, shown: Snapshots) -> float:
-        """Take one step on a batch of images, and return its loss.
+    def update(self, shown: Tensor, place: Tensor) -> float:
+        """Take one step on images ``(F, H, W, 6)`` of targets at ``place`` ``(F, 3)`` [m], and return its loss.
 
         Raises:
             FloatingPointError: if the loss is not finite; no weight has changed then.
         """
         device = self.recipe.device
-        images = rearrange(torch.from_numpy(shown.images).to(device), "f h w c -> f c h w") / 255.0
-        loss = sighting_loss(self._eye, self._camera, images, torch.from_numpy(shown.place).to(device)).mean()
+        images = rearrange(shown.to(device), "f h w c -> f c h w") / 255.0
+        loss = sighting_loss(self._eye, self._camera, images, place.to(device)).mean()
         if not math.isfinite(value := loss.item()):
             raise FloatingPointError(f"the loss of update {self.n_updates} is {value}; lower learning_rate")
-        progress = self.n_updates / self._all_updates
+        progress = self.n_updates / self.recipe.updates
         rate = min(1.0, (self.n_updates + 1) / WARMUP_UPDATES) * (0.02 + 0.49 * (1 + math.cos(math.pi * progress)))
         for group in self.optimizer.param_groups:
             group["lr"] = self.recipe.learning_rate * rate
@@ -154,12 +173,3 @@ class Training:
                 "optimizer": self.optimizer.state_dict(),
             }
         )
-
-
-def _prefetched(images: Iterator[Snapshots]) -> Iterator[Snapshots]:
-    """Yield the same images, rendering the next batch on another core while one is learned from."""
-    with ThreadPoolExecutor(max_workers=1) as renderer:
-        coming = renderer.submit(next, images, None)
-        while (shown := coming.result()) is not None:
-            coming = renderer.submit(next, images, None)
-            yield shown

@@ -19,6 +19,7 @@ class PretrainRecipe:
         camera: whose images it sees, ``ego`` or ``side``.
         eye: options of ObAct's ``Eye``, such as ``weights`` to start from.
         device: of the training.
+        workers: processes that render; 0 renders between the updates, in the training's own.
         episodes: what the images show.
         hands: names of the hands that take turns from update to update; none for that of ``episodes``.
         n_episodes: how many different episodes are shown, with each hand.
@@ -35,6 +36,7 @@ class PretrainRecipe:
     camera: str = EGO_VIEW
     eye: dict[str, Any] = field(default_factory=dict)
     device: str = "cpu"
+    workers: int = 0
     episodes: Recipe = field(default_factory=lambda: Recipe(image_size=64))
     hands: tuple[str, ...] = ()
     n_episodes: int = 1024
@@ -56,6 +58,13 @@ class PretrainRecipe:
             raise ValueError(f"randomized_share must be 0 to 1, got {self.randomized_share}")
         if self.images < self.batch_size:
             raise ValueError(f"images must be at least batch_size, {self.batch_size}, got {self.images}")
+        if self.workers < 0:
+            raise ValueError(f"workers must be 0 or more, got {self.workers}")
+
+    @property
+    def updates(self) -> int:
+        """Updates in all."""
+        return self.images // self.batch_size
 
 
 def read_recipe(path: Path, **changes: Any) -> PretrainRecipe:

@@ -68,24 +68,25 @@ class Snapshots:
     from_palm: np.ndarray
 
 
+def calibration(recipe: PretrainRecipe) -> tuple[np.ndarray, np.ndarray]:
+    """Return the camera's pose (7,), as ``stats/ego_camera``, and intrinsics (4,) [px], as ``stats/ego_intrinsics``."""
+    model, name = compile_scene(recipe.episodes.hand).model, recipe.camera
+    return camera_pose(model, name), intrinsics(model, name, recipe.episodes.image_size)
+
+
 class ImageStream:
     """The images of an eye's recipe, a batch for each update, from any update on.
 
-    Each call starts a stream seeded by the recipe's seed and the update. Episodes are sampled at the first one.
+    Each call starts a stream seeded by the recipe's seed, the update and the worker. Episodes are sampled at the first
+    one; each of several workers shows a part of them.
     """
 
-    def __init__(self, recipe: PretrainRecipe) -> None:
-        self._recipe = recipe
-
-    @property
-    def camera(self) -> tuple[np.ndarray, np.ndarray]:
-        """Pose (7,), as ``stats/ego_camera``, and intrinsics (4,) [px], as ``stats/ego_intrinsics``, of the camera."""
-        model, name = compile_scene(self._recipe.episodes.hand).model, self._recipe.camera
-        return camera_pose(model, name), intrinsics(model, name, self._recipe.episodes.image_size)
+    def __init__(self, recipe: PretrainRecipe, worker: int = 0, n_workers: int = 1) -> None:
+        self._recipe, self._worker, self._n_workers = recipe, worker, n_workers
 
     def __call__(self, update: int) -> Iterator[Snapshots]:
         """Yield images forever, as a run that resumes from ``update`` sees them; hands take turns."""
-        rng = np.random.default_rng([self._recipe.seed, update])
+        rng = np.random.default_rng([self._recipe.seed, update, self._worker])
         by_hand = [snapshots(batch, specs, rng, self._recipe.camera) for batch, specs in self._shown]
         return chain.from_iterable(zip(*by_hand, strict=True))
 
@@ -94,15 +95,17 @@ class ImageStream:
         """For each hand, worlds and the episodes that they show."""
         episodes = self._recipe.episodes
         recipes = [replace(episodes, hand=hand) for hand in self._recipe.hands] or [episodes]
+        chosen = range(self._worker, self._recipe.n_episodes, self._n_workers)
         size = self._recipe.batch_size
-        return [(WorldBatch(one, size, threads=1), shown_specs(self._recipe, one)) for one in recipes]
+        return [(WorldBatch(one, size, threads=1), shown_specs(self._recipe, one, chosen)) for one in recipes]
 
 
-def shown_specs(recipe: PretrainRecipe, episodes: Recipe) -> list[EpisodeSpec]:
-    """Return the episodes whose objects, paths and surroundings are shown; the last of them are randomised."""
+def shown_specs(recipe: PretrainRecipe, episodes: Recipe, chosen: Sequence[int]) -> list[EpisodeSpec]:
+    """Return the ``chosen`` ones of the episodes that are shown; the last of all are randomised."""
     n_plain = round(recipe.n_episodes * (1 - recipe.randomized_share))
     randomized = replace(episodes, appearance=tuple(RANDOMIZATIONS))
-    return sample_specs(episodes, range(n_plain)) + sample_specs(randomized, range(n_plain, recipe.n_episodes))
+    plain = sample_specs(episodes, [i for i in chosen if i < n_plain])
+    return plain + sample_specs(randomized, [i for i in chosen if i >= n_plain])
 
 
 def snapshots(

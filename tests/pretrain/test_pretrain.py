@@ -8,9 +8,11 @@ import torch
 import yaml
 from lerobot_policy_obact.encoders import Eye
 from safetensors.torch import load_file
+from torch.utils.data import DataLoader
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.pretrain import eye_training
+from dynahoi_lerobot.pretrain.recipe import read_recipe
 from dynahoi_lerobot.pretrain.run_folder import LOG, RunFolder
 
 TINY_EYE = {"channels": 8, "fovea": 12}
@@ -72,6 +74,17 @@ def test_a_run_that_was_killed_twice_ends_as_one_that_was_not(finished, tmp_path
     weights, expected = (load_file(folder / eye_training.WEIGHTS) for folder in (tmp_path / "eye", finished))
     for name, tensor in expected.items():
         torch.testing.assert_close(weights[name], tensor, rtol=0, atol=0, msg=name)
+
+
+def test_several_processes_render_the_same_images_after_a_resume(tmp_path: Path):
+    recipe = read_recipe(tiny_recipe(tmp_path, n_episodes=4), workers=2)
+    whole, rest = (
+        list(DataLoader(eye_training.RenderedImages(recipe, first), None, num_workers=2)) for first in (0, SAVE_EVERY)
+    )
+    assert len(whole) == UPDATES
+    for one, other in zip(whole[SAVE_EVERY:], rest, strict=True):
+        torch.testing.assert_close(one, other, rtol=0, atol=0)
+    assert len({place.numpy().tobytes() for _, place in whole}) == UPDATES, "no two batches are the same"
 
 
 def test_a_setting_overrides_the_recipe(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -10,7 +10,7 @@ import torch
 from lerobot_policy_obact.camera import Pinhole
 
 from dynahoi_lerobot.pretrain.recipe import PretrainRecipe
-from dynahoi_lerobot.pretrain.snapshots import ImageStream, shown_specs, snapshots
+from dynahoi_lerobot.pretrain.snapshots import ImageStream, calibration, shown_specs, snapshots
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -40,7 +40,7 @@ def test_images_are_of_many_poses():
 def test_the_calibration_is_that_of_the_camera(tmp_path: Path, camera: str):
     """A target that is posed where the calibration puts (u, v) is drawn around that point of the image."""
     recipe = PretrainRecipe(tmp_path, camera, episodes=RECIPE, n_episodes=1)
-    pose, (focal_px, _, centre_px, _) = ImageStream(recipe).camera
+    pose, (focal_px, _, centre_px, _) = calibration(recipe)
     eye = Pinhole.from_pose(pose.tolist(), centre_px / focal_px, carried=camera == "ego")
     wanted = torch.tensor([[0.0, 0.0, 0.0], [-0.6, 0.5, 0.2], [0.7, 0.4, -0.4], [-0.3, 0.8, 0.5]])
     batch = WorldBatch(RECIPE, len(wanted), threads=1)
@@ -84,7 +84,7 @@ def test_a_share_of_the_episodes_is_randomised(tmp_path: Path):
     def surroundings(share: float) -> int:
         """Return how many of four episodes have distractors."""
         recipe = PretrainRecipe(tmp_path, episodes=RECIPE, n_episodes=4, randomized_share=share)
-        return sum(bool(spec.appearance.distractors) for spec in shown_specs(recipe, RECIPE))
+        return sum(bool(spec.appearance.distractors) for spec in shown_specs(recipe, RECIPE, range(4)))
 
     assert [surroundings(share) for share in (0.0, 0.5, 1.0)] == [0, 2, 4]
 
@@ -95,7 +95,7 @@ def test_hands_take_turns(tmp_path: Path):
     )
     stream = ImageStream(recipe)(0)
     worlds = [WorldBatch(replace(RECIPE, hand=hand), 2, threads=1) for hand in recipe.hands]
-    rng = np.random.default_rng([recipe.seed, 0])
-    alone = [snapshots(batch, shown_specs(recipe, batch.recipe), rng) for batch in worlds]
+    rng = np.random.default_rng([recipe.seed, 0, 0])
+    alone = [snapshots(batch, shown_specs(recipe, batch.recipe, range(2)), rng) for batch in worlds]
     for one in alone:
         np.testing.assert_array_equal(next(stream).images, next(one).images)
