@@ -1,6 +1,7 @@
 """Play the real page in the system's Chromium, along the expert's path: S_loc, jitter and latency.
 
     python benchmarks/play.py --episodes 20 --screenshots pictures
+    python benchmarks/play.py --episodes 1 --film docs/images/play.gif
 
 The pointer is moved and keys are pressed through the DevTools protocol, so that everything between a person's hand and
 the world is in it. Chromium is Debian's package `chromium`.
@@ -21,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import aiohttp
+import cv2
 import numpy as np
 from support.options import benchmark_parser, write_numbers
 
@@ -28,6 +30,7 @@ from dynahoi_lerobot.core.conventions import CONTROL_DT, EGO_VIEW, PALM_DOF
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.numerics import quat_to_matrix
 from dynahoi_lerobot.evaluate.arguments import make_actor
+from dynahoi_lerobot.evaluate.gif import write_gif
 from dynahoi_lerobot.metrics import measure
 from dynahoi_lerobot.play.game import Game
 from dynahoi_lerobot.play.live_world import LiveWorld
@@ -38,6 +41,7 @@ from dynahoi_lerobot.world.sensors import camera_pose, intrinsics
 
 DEADBAND_M, CLOSED_RAD = 0.01, 0.1
 WIDTHS_PX = (390, 820, 1280)
+FILM_PX, FILM_SCALE, FILM_FPS, RESULT_FRAMES = (820, 760), 0.6, 8, 24
 FLAGS = [
     "--headless=new",
     "--no-sandbox",
@@ -88,6 +92,17 @@ class Tab:
             told = await self.call("Page.captureScreenshot", format="png", captureBeyondViewport=True)
             (folder / f"{name}_{width}_{scheme}.png").write_bytes(base64.b64decode(told["data"]))
         await self.call("Emulation.clearDeviceMetricsOverride")
+
+    async def film(self, path: Path, playing: asyncio.Future[None]) -> None:
+        """Film the page in a small window until the episode is over, then its result, as a GIF."""
+        frames, held = [], 0
+        while held < RESULT_FRAMES:
+            told = await self.call("Page.captureScreenshot", format="png")
+            image = cv2.imdecode(np.frombuffer(base64.b64decode(told["data"]), np.uint8), cv2.IMREAD_COLOR_RGB)
+            frames.append(cv2.resize(image, None, fx=FILM_SCALE, fy=FILM_SCALE, interpolation=cv2.INTER_AREA))
+            held += playing.done()
+            await asyncio.sleep(1 / FILM_FPS)
+        write_gif(path, np.stack(frames), fps=FILM_FPS)
 
 
 @asynccontextmanager
@@ -174,6 +189,14 @@ async def played(args: argparse.Namespace) -> dict[str, Any]:
             await tab.value("[...document.querySelectorAll('#panel button')].at(0).click()")
             await tab.until("playing && frame")
             await tab.screenshots(args.screenshots, "playing")
+        if args.film:
+            width, height = FILM_PX
+            size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+            await tab.call("Emulation.setDeviceMetricsOverride", **size)
+            await tab.value("[...document.querySelectorAll('#panel button')].at(0).click()")
+            await tab.until("playing && frame")
+            episode = asyncio.ensure_future(follow_expert(tab, practice))
+            await tab.film(args.film, episode)
     server.cancel()
     rates = {
         name: float(np.mean([measure(episode)[name] or 0 for episode in episodes])) for name in ("S_loc", "S_joint")
@@ -185,6 +208,7 @@ def main() -> None:
     parser = benchmark_parser(__doc__, episodes=1)
     parser.add_argument("--episodes", type=int, default=20)
     parser.add_argument("--screenshots", type=Path, help="folder for pictures of the page")
+    parser.add_argument("--film", type=Path, help="GIF of a further, practised episode")
     args = parser.parse_args()
     figures = asyncio.run(played(args))
     print(json.dumps(figures, indent=2))
