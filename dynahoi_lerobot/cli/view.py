@@ -79,7 +79,7 @@ class Options:
     rules: dict[str, Any] = given_of(
         Recipe, {*PLAYING} - {"split", "views", "motions", "environment_state"}, **TRAINED_FOR
     )
-    view: str = option("ego", "camera and modality", choices=VIEWS)
+    view: str = option("ego", "camera, optionally its depth or segmentation", choices=VIEWS)
     out: Path = option(Path("episode.gif"), "output file: .gif, .mp4 or .html")
 
 

@@ -30,19 +30,19 @@ class Options:
     """Of ``dynahoi play``."""
 
     name: str = option("anonymous", "the player's name in results: human:NAME")
-    split: str = option("val", "stream of the scored episodes; practice is on train")
+    split: str = option("val", "split of the scored episodes; practice episodes come from train")
     motion: str | None = option(None, "play this kind of motion only")
     episodes: int = option(20, "number of scored episodes", whole(1, 10_000))
     first: int = option(0, "number of the first scored episode", whole(0, SEED_LIMIT - 1))
-    out: Path | None = option(None, "folder for the results; an interrupted evaluation goes on there")
+    out: Path | None = option(None, "result folder; an incomplete one is resumed")
     record: Path | None = option(None, "write the scored episodes as a LeRobotDataset", metavar="DATASET")
     policy: str | None = option(None, "also show how this checkpoint or baseline plays the same episodes")
     trust: bool = option(False, TRUST)
     rules: dict[str, Any] = given_of(
         Recipe, ("control_class", "capture", "hand", "protocol", "image_size", "path_speed")
     )
-    host: str = option("127.0.0.1", "address to listen on; others than loopback add a token")
-    port: int = option(8765, "port to listen on; 0 takes a free one", whole(0, 65535))
+    host: str = option("127.0.0.1", "address to listen on; any other than loopback requires a token")
+    port: int = option(8765, "port to listen on; 0 chooses a free one", whole(0, 65535))
 
 
 def run(options: Options) -> int:

@@ -69,10 +69,10 @@ class Recipe:
     instructions: str = option("mixed", "whether language instructions name the motion: reveal, neutral or mixed")
     appearance: tuple[str, ...] = option(
         (),
-        "comma-separated visual randomizations beyond the training distribution: materials, lights, specular, "
+        "comma-separated visual randomisations beyond the training distribution: materials, lights, specular, "
         "transparency, distractors",
     )
-    image_size: int = option(DEFAULT_IMAGE_SIZE_PX, "side of the square images [px]; 0 shows none")
+    image_size: int = option(DEFAULT_IMAGE_SIZE_PX, "side of the square images [px]; 0 renders none")
     views: tuple[str, ...] = option(
         (), "comma-separated views in addition to ego, the hand's camera, such as side or ego_depth"
     )

@@ -32,7 +32,7 @@ from tests.vlm.server import serving as serving_model
 
 DATA_FORMATS = {"json": json.loads, "yaml": yaml.safe_load, "toml": tomllib.loads}
 PROGRAMS = ("python", "bash")
-DRAWN = ("", "text", "{toctree}", "{eval-rst}")
+DRAWN = ("", "text", "{toctree}")
 REPLY = json.dumps(
     {
         "action_sequence": [{"skill": "WAIT", "params": {}, "duration": 10}],
@@ -204,7 +204,7 @@ def check_first_hour(folder: Path) -> None:
 GROUPS: dict[str, tuple[Callable[[Path], None] | None, Callable[[Path], None]]] = {
     "generate.md dataset.md lerobot.md": (before_data, check_data),
     "train.md evaluate.md policies.md contact.md benchmark.md": (None, check_results),
-    "README.md quickstart.md environment.md install.md extend.md play.md": (before_first_hour, check_first_hour),
+    "README.md install.md environment.md extend.md play.md": (before_first_hour, check_first_hour),
 }
 """Pages that are played one after the other in one folder; what is done before, and what is checked afterwards."""
 REASONS: dict[str, Callable[[], bool]] = {
