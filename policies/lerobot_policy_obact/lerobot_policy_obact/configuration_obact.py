@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from lerobot.configs import FeatureType, NormalizationMode, PreTrainedConfig
@@ -10,14 +11,14 @@ from lerobot.policies.rtc import RTCConfig
 
 from .encoders import ENCODERS
 from .gr00t_head import Gr00tHead
-from .heads import ActionHead, DiffusionHead, FlowHead
+from .heads import ActionHead, DiffusionDenoiser, FlowDenoiser
 
 MAX_SAMPLING = 100
 """Most steps, and most draws, of a head."""
 HEADS: dict[str, Callable[..., Any]] = {
-    "diffusion": DiffusionHead,
-    "flow": FlowHead,
-    "regression": ActionHead,
+    "diffusion": partial(ActionHead, DiffusionDenoiser),
+    "flow": partial(ActionHead, FlowDenoiser),
+    "regression": partial(ActionHead, None),
     "gr00t": Gr00tHead,
 }
 CONTACT = "contact"
@@ -90,7 +91,7 @@ class ObActConfig(PreTrainedConfig):
         forecast_weight: weight of the loss of the forecast; 0 learns the recorded actions alone, without the target's
             path.
         action_weight: weight of the loss of imitation.
-        closed_loop_weight: weight of the loss of palms that are rolled out, see `closed_loop`.
+        closed_loop_weight: weight of the loss of palms that are rolled out, see `decisions`.
         ema_decay: of the average of the weights, which acts.
         rig: taken from the dataset.
         rtc_config: real-time chunking, set by LeRobot's rollout.
@@ -257,11 +258,8 @@ class ObActConfig(PreTrainedConfig):
 
     def get_optimizer_preset(self) -> AdamWConfig:
         """Return AdamW as LeRobot builds it when no optimiser is given."""
-        return AdamWConfig(
-            lr=self.optimizer_lr,
-            weight_decay=self.optimizer_weight_decay,
-            grad_clip_norm=self.optimizer_grad_clip_norm,
-        )
+        decay, clip = self.optimizer_weight_decay, self.optimizer_grad_clip_norm
+        return AdamWConfig(lr=self.optimizer_lr, weight_decay=decay, grad_clip_norm=clip)
 
     def get_scheduler_preset(self) -> CosineDecayWithWarmupSchedulerConfig:
         """Return a warm-up and cosine decay, which LeRobot shortens to the steps of the run."""
