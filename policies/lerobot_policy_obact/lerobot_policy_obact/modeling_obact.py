@@ -260,35 +260,39 @@ class ObActPolicy(PreTrainedPolicy):
     def _losses_of_episodes(self, model: ObActModel, batch: Batch) -> dict[str, Tensor]:
         """Return the losses by episode, ``(B,)`` each; the first call encodes the dataset."""
         from .decisions import closed_loop_loss, decision_losses, rolled_rows
+
+        config, device = self.config, model.device
+        episodes = self._episodes(batch["episode_index"].flatten().cpu())
+        assert self.recordings is not None
+        rows = episodes.decision_rows(config.n_decisions, config.rig.delay_frames)
+        decisions = episodes.decisions(rows, self.recordings.teacher, config)
+        closes = config.forecasts and config.closed_loop_weight > 0
+        rolled = rolled_rows(episodes, config.rig.delay_frames) if closes else rows[:, :0]
+        seen = torch.cat([rows, rolled], dim=1)
+        outlook = model.encode_history(episodes.frames(seen, config.rig.fps).to(device), seen.to(device))
+        n = config.n_decisions
+        losses = decision_losses(model, outlook[:, :n], decisions.to(device))
+        if closes:
+            assert self.recordings.teacher is not None
+            losses["closed_loop"] = closed_loop_loss(model, outlook[:, n:], episodes, rolled, self.recordings.teacher)
+        return losses
+
+    def _episodes(self, named: Tensor) -> Episodes:
+        """Return the episodes that a batch names, or, in training, as many times others of those known so far."""
         from .recordings import Recordings
         from .virtual_episodes import VirtualEpisodes
 
-        config, n, late = self.config, self.config.n_decisions, self.config.rig.delay_frames
-        if (recordings := self.recordings) is None:
-            recordings = self.recordings = Recordings.encoded(self._meta, config, self.acting)
-            if recordings.teacher is not None:
-                self.virtual = VirtualEpisodes(recordings, self.acting.belief.cameras)
-        episodes, teacher = self._episodes(recordings, batch["episode_index"].flatten().cpu()), recordings.teacher
-        rows = episodes.decision_rows(n, late)
-        decisions = episodes.decisions(rows, teacher, config).to(model.device)
-        closes = teacher is not None and config.closed_loop_weight > 0
-        rolled = rolled_rows(episodes, late) if closes else rows[:, :0]
-        seen = torch.cat([rows, rolled], dim=1)
-        outlook = model.encode_history(episodes.frames(seen, config.rig.fps).to(model.device), seen.to(model.device))
-        losses = decision_losses(model, outlook[:, :n], decisions)
-        if closes:
-            losses["closed_loop"] = closed_loop_loss(model, outlook[:, n:], episodes, rolled, teacher)
-        return losses
-
-    def _episodes(self, recordings: Recordings, named: Tensor) -> Episodes:
-        """Return the episodes that a batch names, or, in training, as many times others of those known so far."""
+        if self.recordings is None:
+            self.recordings = Recordings.encoded(self._meta, self.config, self.acting)
+            if self.recordings.teacher is not None:
+                self.virtual = VirtualEpisodes(self.recordings, self.acting.belief.cameras)
         if not self.training:
-            return recordings.episodes[named]
-        recordings.named[named] = True  # LeRobot may select episodes and hold others out; batches tell which
+            return self.recordings.episodes[named]
+        self.recordings.named[named] = True  # LeRobot may select episodes and hold others out; batches tell which
         n = len(named) * self.config.episodes_per_sample
         if self.virtual is not None and torch.rand(()) < self.config.virtual_share:
             return self.virtual.draw(n, self.acting)
-        return recordings.draw(n)
+        return self.recordings.draw(n)
 
     def update(self) -> None:
         """Update the averaged weights; LeRobot calls this after every optimiser step.

@@ -88,13 +88,13 @@ class Recordings:
         """Return the dataset of LeRobot's metadata, which is on this disk, with all images encoded by the model."""
         known = {TARGET_PATH, LOCALIZED, OPEN_JOINTS, CLOSED_JOINTS, TARGET_POSE} if config.forecasts else set()
         table = episode_columns(meta, {"length", WINDOW} | known)
-        columns = _table(meta, "data", "index", [*config.state_keys, ACTION])
-        state, actions = (_vectors(columns, keys) for keys in (config.state_keys, [ACTION]))
+        columns = _frame_columns(meta, [*config.state_keys, ACTION])
         count = torch.tensor(table["length"])
         index = torch.minimum(torch.arange(int(count.max())), count[:, None] - 1) + (count.cumsum(0) - count)[:, None]
+        state = torch.cat([columns[key] for key in config.state_keys], dim=-1)
         window = torch.tensor(table.get(WINDOW, [0] * len(count)))
         sightings = encoded_images(meta, config, model, table["length"])
-        episodes = Episodes(sightings[index], state[index], actions[index], count, window)
+        episodes = Episodes(sightings[index], state[index], columns[ACTION][index], count, window)
         named = torch.zeros(len(count), dtype=torch.bool)
         if not config.forecasts:
             return cls(episodes, named)
@@ -153,10 +153,10 @@ def episode_columns(meta: Any, wanted: set[str]) -> dict[str, list[Any]]:
     return {name: table[name].to_pylist() for name in held}
 
 
-def _vectors(table: pa.Table, keys: list[str]) -> Tensor:
-    """Return vectors of a table, one after the other, ``(N, D)``."""
-    vectors = (np.array(table[key].to_pylist(), np.float32).reshape(len(table), -1) for key in keys)
-    return torch.from_numpy(np.concatenate(list(vectors), axis=1))
+def _frame_columns(meta: Any, keys: list[str]) -> dict[str, Tensor]:
+    """Return columns of the frame table in the order of frames, ``(N, D)`` each."""
+    table = _table(meta, "data", "index", keys)
+    return {key: torch.from_numpy(np.array(table[key].to_pylist(), np.float32)).reshape(len(table), -1) for key in keys}
 
 
 def _schema(meta: Any) -> list[str]:
