@@ -117,7 +117,7 @@ def _teacher_of(rig: Rig, table: dict[str, list[Any]]) -> Teacher:
     """Return the teacher of a dataset with the episode table ``table``."""
     joints = (torch.tensor(np.stack(table[name]), dtype=torch.float32) for name in (OPEN_JOINTS, CLOSED_JOINTS))
     kind, radius_m = (Grip, GRIP_M) if rig.capture == CONTACT else (Teacher, rig.radius_m)
-    return kind(rig.fps, rig.step_m, *(angles.quantile(CLOSED_QUANTILE, dim=0) for angles in joints), radius_m)
+    return kind(rig.fps, rig.step_m, *(angles.quantile(CLOSED_QUANTILE, dim=0) for angles in joints), radius_m=radius_m)
 
 
 def describe(meta: Any, cameras: list[str]) -> Rig:
