@@ -1,7 +1,10 @@
 """Belief: what the frames observed so far say about where the target is and where it will be."""
 
-from dataclasses import dataclass, replace
-from typing import cast
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, Self, cast
 
 import torch
 from einops import einsum, rearrange, repeat
@@ -9,8 +12,12 @@ from torch import Tensor, nn
 
 from .attention import Memory, PositionReadout, TemporalBlock
 from .camera import Pinhole
-from .frames import Record
+from .encoders import N_SIGHTING
 from .heads import perceptron
+
+if TYPE_CHECKING:
+    from .configuration_obact import ObActConfig
+    from .modeling_obact import ObActModel
 
 FORECAST_FRAMES = (0, 1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48)
 """Frames ahead at which the target's position is forecast."""
@@ -18,6 +25,77 @@ PLACE_M, RAY_M, POINT_M = 0.3, 0.4, 0.1
 """Units in which places, their offsets from the camera and differences between points enter the network."""
 FAR = 8.0
 """Inputs are cut to this many units."""
+UNCALIBRATED = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+"""Calibration, see `Rig`, of a camera that sees rays of unit depth from the origin."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """Tensors, and records of those, by name."""
+
+    def map(self, change: Callable[[Any], Any]) -> Self:
+        """Return it with all that it holds changed."""
+        held = {field.name: getattr(self, field.name) for field in fields(self)}
+        return replace(self, **{name: change(x) for name, x in held.items() if x is not None})
+
+    def to(self, device: str | torch.device) -> Self:
+        """Return it with all that it holds on a device."""
+        return self.map(lambda x: x.to(device))
+
+    def __getitem__(self, index: Any) -> Self:
+        """Return it with all that it holds indexed, where all tensors begin with the same axes."""
+        return self.map(lambda x: x[index])
+
+
+@dataclass(frozen=True)
+class Frames(Record):
+    """T frames of B episodes, in the order of time.
+
+    Attributes:
+        sightings: by camera (u, v, log depth) and two log scales, then what else the encoder says, ``(B, T, C, 5 +
+            E)``.
+        state: of the robot, ``(B, T, S)``.
+        time_s: when they were seen [s], ``(T,)``.
+    """
+
+    sightings: Tensor
+    state: Tensor
+    time_s: Tensor
+
+    @property
+    def palm(self) -> Tensor:
+        """Where the palm is [m], ``(B, T, 3)``."""
+        return palm_of(self.state)
+
+    def windows(self, rows: Tensor, ages_s: Tensor) -> Frames:
+        """Return the frames of given ages ``(W,)`` [s] as seen from frames ``rows`` ``(B, Q)``, of ``(B * Q, W)``.
+
+        For each age that is the frame nearest to it; before the first frame stands the first. Frames of all rows are as
+        far apart as those of the first row.
+        """
+        wanted = self.time_s[rows][..., None] - ages_s  # (B, Q, W)
+        middles = (self.time_s[1:] + self.time_s[:-1]) / 2
+        index = torch.searchsorted(middles, wanted.contiguous(), right=True)
+        sightings, state = (taken(x, index).flatten(0, 1) for x in (self.sightings, self.state))
+        first, nearest_s = wanted[0, 0], self.time_s[index[0, 0]]
+        return Frames(sightings, state, torch.where(first < self.time_s[0], first, nearest_s))
+
+
+def taken(table: Tensor, frame: Tensor) -> Tensor:
+    """Return what tables ``(B, T, ...)`` hold for frames ``(B, Q...)``, ``(B, Q..., ...)``."""
+    rows = torch.arange(len(frame), device=frame.device)
+    return table[rows.view(-1, *[1] * (frame.dim() - 1)), frame]
+
+
+def palm_of(state: Tensor) -> Tensor:
+    """Return where palms are [m], ``(..., 3)``: the first entries of a state or action, as many as there are."""
+    return nn.functional.pad(state[..., :3], (0, max(0, 3 - state.shape[-1])))
+
+
+def stepped(palm: Tensor, goal: Tensor, step_m: float) -> Tensor:
+    """Return where palms ``(..., 3)`` [m] are a frame later that go towards their goals, at most ``step_m`` far."""
+    way = goal - palm
+    return palm + way * (step_m / (way.square().sum(-1, keepdim=True) + 1e-10).sqrt()).clamp_max(1.0)
 
 
 @dataclass(frozen=True)
@@ -34,42 +112,27 @@ class Outlook(Record):
     forecast: Tensor
     weights: Tensor | None = None
 
-    def at(self, q: int | slice) -> "Outlook":
-        """Return that of some of the decisions, or of one, ``(B, ...)``."""
-        return self.map(lambda x: x[:, q])
-
-    def repeated(self, m: int) -> "Outlook":
-        """Return that of each decision ``m`` times, ``(B * Q * m, ...)``."""
-        return replace(self, weights=None).map(lambda x: repeat(x, "b q ... -> (b q m) ...", m=m))
-
-    def unflattened(self, b: int) -> "Outlook":
-        """Return that of decisions ``(b * Q, 1)`` as ``(b, Q)``."""
-        return self.map(lambda x: rearrange(x, "(b q) 1 ... -> b q ...", b=b))
-
 
 class Belief(nn.Module):
     """Tokens of frames, causal attention over them, and a forecast that combines positions sighted earlier.
 
     Args:
-        cameras: calibrated.
+        config: with the rig filled in.
         n_extra: numbers of a token beside those of the sightings.
-        dim, n_layers, n_heads, n_points: see `ObActConfig`.
-        fps: frame rate [Hz].
     """
 
     ahead_s: Tensor
 
-    def __init__(
-        self, cameras: list[Pinhole], n_extra: int, *, dim: int, n_layers: int, n_heads: int, n_points: int, fps: float
-    ) -> None:
+    def __init__(self, config: ObActConfig, n_extra: int) -> None:
         super().__init__()
+        dim, n_points, k = config.dim, config.n_points, len(FORECAST_FRAMES)
+        known = [config.rig.calibration.get(key, UNCALIBRATED) for key in config.cameras]
         self.n_points = n_points
-        self._cameras = nn.ModuleList(cameras)
-        self.register_buffer("ahead_s", torch.tensor(FORECAST_FRAMES) / fps, persistent=False)
-        self.token = perceptron(3 + 6 * len(cameras) + n_extra, dim, dim)
-        self.blocks = nn.ModuleList(TemporalBlock(dim, n_heads) for _ in range(n_layers))
+        self._cameras = nn.ModuleList(Pinhole.from_pose(x[:7], x[7], carried=bool(x[8])) for x in known)
+        self.register_buffer("ahead_s", torch.tensor(FORECAST_FRAMES) / config.rig.fps, persistent=False)
+        self.token = perceptron(3 + 6 * len(known) + n_extra, dim, dim)
+        self.blocks = nn.ModuleList(TemporalBlock(dim, config.n_heads) for _ in range(config.n_layers))
         self.norm = nn.LayerNorm(dim)
-        k = len(FORECAST_FRAMES)
         if n_points:
             self.readout = PositionReadout(dim, n_points)
             self.linear = nn.Linear(3 * n_points, 3 * k, bias=False)
@@ -85,30 +148,16 @@ class Belief(nn.Module):
         """The cameras."""
         return cast("list[Pinhole]", list(self._cameras))
 
-    def forward(
-        self,
-        sightings: Tensor,
-        palm: Tensor,
-        extra: Tensor,
-        time_s: Tensor,
-        rows: Tensor,
-        *,
-        memory: Memory | None = None,
-    ) -> Outlook:
+    def forward(self, frames: Frames, rows: Tensor, memory: Memory | None = None) -> Outlook:
         """Return what decisions at frames ``rows`` ``(B, Q)`` believe.
 
-        Args:
-            sightings: in T frames by camera, ``(B, T, C, 5)``.
-            palm: where the palm is [m], ``(B, T, 3)``.
-            extra: what else a token holds, ``(B, T, E)``.
-            time_s: when the frames were seen [s], ``(T,)``, rising.
-            rows: frames of the decisions.
-            memory: of frames before these, which it also is to keep.
+        ``memory`` is of the frames before these, which it also is to keep.
         """
-        memory = memory or Memory()
-        (eyes, rays), scales = self.sighted(sightings, palm), sightings[..., 3:5]
+        memory, time_s = memory or Memory(), frames.time_s
+        (eyes, rays), scales = self.sighted(frames), frames.sightings[..., 3:N_SIGHTING]
         position = fused(eyes, rays, scales)
         origin = memory.first("origin", position[:, :1])
+        extra = frames.sightings[..., N_SIGHTING:].flatten(2)
         seen = [scales.clamp(-6, 3) / 3, scales[..., :1].clamp_max(2).exp(), (rays / RAY_M).clamp(-FAR, FAR)]
         place = ((position - origin) / PLACE_M).clamp(-FAR, FAR)
         tokens = self.token(torch.cat([place, torch.cat(seen, dim=-1).flatten(2), extra], dim=-1))
@@ -122,10 +171,10 @@ class Belief(nn.Module):
             points, weights = self.readout(tokens, position - origin, age_s, rows, memory)
         return Outlook(features, self._forecast(features, points) + origin[:, :, None], weights)
 
-    def sighted(self, sightings: Tensor, palm: Tensor) -> tuple[Tensor, Tensor]:
+    def sighted(self, frames: Frames) -> tuple[Tensor, Tensor]:
         """Return where the cameras are, and where from there they see the target [m], ``(B, T, C, 3)`` each."""
-        eyes = [cam.origin(palm) + cam.pos for cam in self.cameras]
-        rays = [cam.place(sightings[:, :, i, :3]) - cam.pos for i, cam in enumerate(self.cameras)]
+        eyes = [cam.origin(frames.palm) + cam.pos for cam in self.cameras]
+        rays = [cam.place(frames.sightings[:, :, i, :3]) - cam.pos for i, cam in enumerate(self.cameras)]
         return torch.stack(eyes, dim=2), torch.stack(rays, dim=2)
 
     def _forecast(self, decisions: Tensor, points: Tensor | None) -> Tensor:
@@ -155,3 +204,24 @@ def fused(eyes: Tensor, rays: Tensor, scales: Tensor) -> Tensor:
     line = einsum(sight, sight, "... i, ... j -> ... i j")
     precise = across[..., None] * (torch.eye(3, device=line.device) - line) + along[..., None] * line
     return torch.linalg.solve(precise.sum(2), (precise @ (eyes + rays)[..., None]).sum(2))[..., 0]
+
+
+class History:
+    """Frames that come a few at a time, of which a model sees as many as its config says."""
+
+    def __init__(self) -> None:
+        self._memory = Memory()
+        self._frames: Frames | None = None
+
+    def see(self, model: ObActModel, frames: Frames) -> Outlook:
+        """Return what a decision at the last of new frames, of ``(B, T)``, believes; later, B may be smaller."""
+        n, config = len(frames.state), model.config
+        if config.n_obs_frames is not None:
+            if (kept := self._frames) is not None:
+                sightings = torch.cat([kept.sightings[:n], frames.sightings], 1)
+                state = torch.cat([kept.state[:n], frames.state], 1)
+                frames = Frames(sightings, state, torch.cat([kept.time_s, frames.time_s]))
+            recent = frames.time_s[-1] - frames.time_s <= config.ages_s[0] + 1 / config.rig.fps
+            frames = self._frames = Frames(frames.sightings[:, recent], frames.state[:, recent], frames.time_s[recent])
+        row = torch.full((n, 1), len(frames.time_s) - 1, device=frames.state.device)
+        return model.encode_history(frames, row, self._memory)

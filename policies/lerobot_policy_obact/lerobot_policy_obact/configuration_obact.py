@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from lerobot.configs import FeatureType, NormalizationMode, PreTrainedConfig
@@ -10,14 +11,14 @@ from lerobot.policies.rtc import RTCConfig
 
 from .encoders import ENCODERS
 from .gr00t_head import Gr00tHead
-from .heads import ActionHead, DiffusionHead, FlowHead
+from .heads import ActionHead, DiffusionDenoiser, FlowDenoiser
 
 MAX_SAMPLING = 100
 """Most steps, and most draws, of a head."""
 HEADS: dict[str, Callable[..., Any]] = {
-    "diffusion": DiffusionHead,
-    "flow": FlowHead,
-    "regression": ActionHead,
+    "diffusion": partial(ActionHead, DiffusionDenoiser),
+    "flow": partial(ActionHead, FlowDenoiser),
+    "regression": partial(ActionHead, None),
     "gr00t": Gr00tHead,
 }
 CONTACT = "contact"
@@ -28,24 +29,16 @@ WINDOW_FRAMES = 5
 
 @dataclass(frozen=True)
 class Rig:
-    """What a dataset says of the robot that it was recorded with, and of its task.
+    """What a dataset says of the robot that it was recorded with, and of its task."""
 
-    Attributes:
-        fps: frame rate [Hz].
-        calibration: of each camera: pose from the palm (position [m], quaternion wxyz), tangent of half the field of
-            view, and 1 if the palm carries it, else 0. A camera without one sees rays of unit depth.
-        delay_frames: control steps from a command to its effect.
-        palm_speed_m_s: the palm's speed limit.
-        capture: the rule of capture; empty where the target's path is not known.
-        radius_m: within which the palm has the target, unless it must be gripped.
-    """
-
-    fps: float = 20.0
+    fps: float = 20.0  # frame rate [Hz]
     calibration: dict[str, list[float]] = field(default_factory=dict)
-    delay_frames: int = 0
-    palm_speed_m_s: float = 0.0
-    capture: str = ""
-    radius_m: float = 0.03
+    """Of each camera: pose from the palm (position [m], quaternion wxyz), tangent of half the field of view, and 1 if
+    the palm carries it, else 0. A camera without one sees rays of unit depth."""
+    delay_frames: int = 0  # control steps from a command to its effect
+    palm_speed_m_s: float = 0.0  # the palm's speed limit
+    capture: str = ""  # the rule of capture; empty where the target's path is not known
+    radius_m: float = 0.03  # within which the palm has the target, unless it must be gripped
 
     @property
     def step_m(self) -> float:
@@ -59,72 +52,50 @@ class ObActConfig(PreTrainedConfig):
     """Observe before act (DynaHOI, Section 4): what was observed conditions a generative action head.
 
     The defaults are those of a dataset of DynaHOI. For others, `README.md` says what to change.
-
-    Attributes:
-        n_obs_frames: observed frames before the current one, the paper's ``s``; 0 is the single-frame control, None all
-            of the last ten seconds.
-        obs_stride: distance between observed frames [frames].
-        horizon: actions in a predicted chunk, ``H``.
-        n_action_steps: actions of a chunk that are executed before the policy replans.
-        relative_dims: leading entries of an action that say where to go in the frame of the same entries of
-            ``observation.state`` [m]; they are predicted as displacements. 0 for actions of another kind.
-        encoder: one of `ENCODERS`.
-        encoder_options: keyword options of that encoder. In a text, ``{view}`` stands for the last part of the key of
-            the image, so that each camera may start from weights of its own.
-        freeze_encoder: whether training leaves its weights alone. All images are then encoded before training begins,
-            which reads no others; with a dataset that holds the target's path, it also shows virtual hands.
-        cache_images: whether encoded images are kept on disk for the next run.
-        head: one of `HEADS`.
-        head_options: keyword options of that head.
-        noise_seed: of the noise that actions are sampled from. It is drawn anew for every decision, but as a function
-            of the frame's number in its episode alone, so that a policy is a function of what it sees.
-        dim: size of a frame's token, ``D``.
-        n_layers: temporal attention blocks.
-        n_heads: heads of each.
-        n_points: readouts whose values are the positions sighted, ``J``; 0 for none.
-        width: size of the context that the head reads, ``C``.
-        virtual_share: share of the batches that show virtual hands, see `virtual_episodes`.
-        episodes_per_sample: episodes that a sample stands for with a frozen encoder, drawn from those that batches have
-            named so far. LeRobot decodes an image for every sample, which then goes unused.
-        n_decisions: decisions in an episode at which the losses of forecast and action are computed.
-        forecast_weight: weight of the loss of the forecast; 0 learns the recorded actions alone, without the target's
-            path.
-        action_weight: weight of the loss of imitation.
-        closed_loop_weight: weight of the loss of palms that are rolled out, see `closed_loop`.
-        ema_decay: of the average of the weights, which acts.
-        rig: taken from the dataset.
-        rtc_config: real-time chunking, set by LeRobot's rollout.
     """
 
     n_obs_frames: int | None = None
-    obs_stride: int = 1
-    horizon: int = 8
-    n_action_steps: int = 1
+    """Observed frames before the current one, the paper's ``s``; 0 is the single-frame control, None all of the last
+    ten seconds."""
+    obs_stride: int = 1  # distance between observed frames [frames]
+    horizon: int = 8  # actions in a predicted chunk, ``H``
+    n_action_steps: int = 1  # actions of a chunk that are executed before the policy replans
     relative_dims: int = 3
+    """Leading entries of an action that say where to go in the frame of the same entries of ``observation.state`` [m];
+    they are predicted as displacements. 0 for actions of another kind."""
 
-    encoder: str = "eye"
+    encoder: str = "eye"  # one of `ENCODERS`
     encoder_options: dict[str, Any] = field(default_factory=lambda: {"weights": "{view}_96"})
+    """Keyword options of that encoder. In a text, ``{view}`` stands for the last part of the key of the image, so that
+    each camera may start from weights of its own."""
     freeze_encoder: bool = True
-    cache_images: bool = True
-    head: str = "diffusion"
-    head_options: dict[str, Any] = field(default_factory=dict)
+    """Whether training leaves its weights alone. All images are then encoded before training begins, which reads no
+    others; with a dataset that holds the target's path, it also shows virtual hands."""
+    cache_images: bool = True  # whether encoded images are kept on disk for the next run
+    head: str = "diffusion"  # one of `HEADS`
+    head_options: dict[str, Any] = field(default_factory=dict)  # keyword options of that head
     noise_seed: int = 0
-    dim: int = 128
-    n_layers: int = 2
-    n_heads: int = 4
-    n_points: int = 12
-    width: int = 256
+    """Of the noise that actions are sampled from. It is drawn anew for every decision, but as a function of the frame's
+    number in its episode alone, so that a policy is a function of what it sees."""
+    dim: int = 128  # size of a frame's token, ``D``
+    n_layers: int = 2  # temporal attention blocks
+    n_heads: int = 4  # heads of each
+    n_points: int = 12  # readouts whose values are the positions sighted, ``J``; 0 for none
+    width: int = 256  # size of the context that the head reads, ``C``
 
-    virtual_share: float = 0.8
+    virtual_share: float = 0.8  # share of the batches that show virtual hands, see `virtual_episodes`
     episodes_per_sample: int = 8
-    n_decisions: int = 5
+    """Episodes that a sample stands for with a frozen encoder, drawn from those that batches have named so far. LeRobot
+    decodes an image for every sample, which then goes unused."""
+    n_decisions: int = 5  # decisions in an episode at which the losses of forecast and action are computed
     forecast_weight: float = 1.0
-    action_weight: float = 1.0
-    closed_loop_weight: float = 4.0
-    ema_decay: float = 0.995
+    """Weight of the loss of the forecast; 0 learns the recorded actions alone, without the target's path."""
+    action_weight: float = 1.0  # weight of the loss of imitation
+    closed_loop_weight: float = 4.0  # weight of the loss of palms that are rolled out, see `decisions`
+    ema_decay: float = 0.995  # of the average of the weights, which acts
 
-    rig: Rig = field(default_factory=Rig)
-    rtc_config: RTCConfig | None = None
+    rig: Rig = field(default_factory=Rig)  # taken from the dataset
+    rtc_config: RTCConfig | None = None  # real-time chunking, set by LeRobot's rollout
 
     # images in [0, 1], metres and radians: encoders and heads standardise by themselves
     normalization_mapping: dict[str, NormalizationMode] = field(
@@ -257,11 +228,8 @@ class ObActConfig(PreTrainedConfig):
 
     def get_optimizer_preset(self) -> AdamWConfig:
         """Return AdamW as LeRobot builds it when no optimiser is given."""
-        return AdamWConfig(
-            lr=self.optimizer_lr,
-            weight_decay=self.optimizer_weight_decay,
-            grad_clip_norm=self.optimizer_grad_clip_norm,
-        )
+        decay, clip = self.optimizer_weight_decay, self.optimizer_grad_clip_norm
+        return AdamWConfig(lr=self.optimizer_lr, weight_decay=decay, grad_clip_norm=clip)
 
     def get_scheduler_preset(self) -> CosineDecayWithWarmupSchedulerConfig:
         """Return a warm-up and cosine decay, which LeRobot shortens to the steps of the run."""

@@ -1,36 +1,44 @@
-"""What is learned from: episodes, decisions in them, and what should have been done. Training only."""
+"""What is learned from: decisions in episodes, what should have been done, and the losses. Training only.
+
+A decision is compared with what its teacher says, who knows the future (`decision_losses`). But that cannot be imitated
+before the future can be known; and nothing in imitation tells a policy that a forecast which is wrong now will be less
+wrong in five frames. So from a frame on the palm alone is rolled out through the head, each command cut to what a palm
+does in a frame, and what counts is how near it comes to catching the target (`closed_loop_loss`). What is seen
+meanwhile stays what the hand saw that was there.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import torch
-from einops import repeat
+from einops import rearrange, repeat
 from torch import Tensor
 
-from .belief import FORECAST_FRAMES
-from .frames import Frames, Record, palm_of
+from .belief import FORECAST_FRAMES, Frames, Outlook, Record, palm_of, stepped, taken
 from .teacher import Targets, Teacher
 
 if TYPE_CHECKING:
     from .configuration_obact import ObActConfig
+    from .modeling_obact import ObActModel
 
 EARLY_SHARE, EARLIEST_FRAME = 0.15, 3
 """Share of the decisions that are taken anywhere in the observation window, and the first frame at which."""
 UNREACHABLE_WEIGHT = 0.1
 """Weight of what should be done about a target that is out of reach."""
+MISSED_WEIGHT = 10.0
+"""Weight in the loss of the distance from the place that attention picks from the forecast to the right one [1/m]."""
 
 
 @dataclass(frozen=True)
-class Episodes:
+class Episodes(Record):
     """B episodes of T frames; one that is over repeats its last frame.
 
     Attributes:
         sightings, state, actions: of the frames, ``(B, T, ...)``.
         count: frames of each, ``(B,)``.
-        window: frames of the observation window, ``(B,)``.
-        fps: frame rate [Hz].
+        window: frames of the observation window, ``(B,)``; 0 if there is none.
         targets: what is known of the targets; None if nothing is.
     """
 
@@ -39,18 +47,16 @@ class Episodes:
     actions: Tensor
     count: Tensor
     window: Tensor
-    fps: float
-    targets: Targets | None
+    targets: Targets | None = None
 
-    def frames(self, rows: Tensor) -> Frames:
-        """Return the frames up to the last of ``rows``."""
+    def frames(self, rows: Tensor, fps: float) -> Frames:
+        """Return the frames up to the last of ``rows``, recorded at ``fps`` [Hz]."""
         n = int(rows.max()) + 1
-        return Frames(self.sightings[:, :n], self.state[:, :n], torch.arange(n) / self.fps)
+        return Frames(self.sightings[:, :n], self.state[:, :n], torch.arange(n) / fps)
 
     def palm(self, frame: Tensor) -> Tensor:
         """Return where the palm is in frames ``(B, Q)`` [m], ``(B, Q, 3)``."""
-        batch = torch.arange(len(frame))[:, None]
-        return palm_of(self.state[batch, frame.clamp_max(self.state.shape[1] - 1)])
+        return palm_of(taken(self.state, frame.clamp_max(self.state.shape[1] - 1)))
 
     def decision_rows(self, n: int, late: int) -> Tensor:
         """Draw frames at which decisions are taken, ``(B, n)``: mostly where the hand may move."""
@@ -64,12 +70,11 @@ class Episodes:
 
     def decisions(self, rows: Tensor, teacher: Teacher | None, config: ObActConfig) -> Decisions:
         """Return decisions at ``rows`` ``(B, Q)``: what was done there, or the teacher's answers for several palms."""
-        batch = torch.arange(len(rows))[:, None]
-        state, late = self.state[batch, rows][:, :, None], config.rig.delay_frames
+        state, late = taken(self.state, rows)[:, :, None], config.rig.delay_frames
         palm = self.palm(rows + late)
         if self.targets is None or teacher is None:
             ahead, last = rows[..., None] + torch.arange(config.horizon), self.count[:, None, None] - 1  # (B, Q, H)
-            actions, weight = self.actions[batch[..., None], torch.minimum(ahead, last)], (ahead <= last).float()
+            actions, weight = taken(self.actions, torch.minimum(ahead, last)), (ahead <= last).float()
             return Decisions(palm[:, :, None], state, actions[:, :, None], weight[:, :, None])
         targets = self.targets
         due = torch.minimum(rows + late, targets.length[:, None] - 2)
@@ -134,3 +139,65 @@ class Decisions(Record):
     actions: Tensor
     weight: Tensor
     future: Future | None = None
+
+
+def decision_losses(model: ObActModel, outlook: Outlook, decisions: Decisions) -> dict[str, Tensor]:
+    """Return the losses of forecast and action by episode, ``(B,)`` each."""
+    losses, n, m = {}, len(outlook.features), decisions.palm.shape[2]
+    if decisions.future is not None:
+        losses["forecast"] = decisions.future.loss(outlook.forecast, model.belief.ahead_s)
+    palm, state, actions, weight = (
+        x.flatten(0, 2) for x in (decisions.palm, decisions.state, decisions.actions, decisions.weight)
+    )
+    outlook = replace(outlook, weights=None).map(lambda x: repeat(x, "b q ... -> (b q m) ...", m=m))
+    context, origin = model.condition(outlook, palm, state)
+    loss = model.head.loss(context, model.normalise(actions, origin.detach()), weight)  # (B * Q * M,)
+    losses["action"] = rearrange(loss, "(b n) -> b n", b=n).mean(1)
+    if decisions.future is not None:
+        missed = ((actions[..., :3] - origin).square().sum(-1) + 1e-8).sqrt()  # by the place that was picked
+        losses["missed"] = MISSED_WEIGHT * rearrange((missed * weight).mean(-1), "(b n) -> b n", b=n).mean(1)
+    return losses
+
+
+# -- the closed loop ------------------------------------------------------------------------------------------------
+
+ROLLED_FRAMES = 24
+"""A palm is rolled out for so long."""
+LATE_SHARE = 0.5
+"""Share of the palms that start anywhere before the catch; the others start with the control phase."""
+RIM, SOFTNESS, FAR_M, FAR_WEIGHT = 0.9, 0.27, 0.1, 0.3
+"""The loss is a smooth step at this share of the radius within which a target is caught, so wide in radii, and a part
+of the distance beyond, in this unit."""
+
+
+def rolled_rows(episodes: Episodes, late: int) -> Tensor:
+    """Draw the frames of the decisions through which palms are rolled out, ``(B, R)``."""
+    targets = episodes.targets
+    assert targets is not None
+    known = torch.minimum(targets.length, episodes.count)
+    first = (episodes.window - late).clamp_min(EARLIEST_FRAME)
+    last = torch.minimum(known - 4, torch.minimum(targets.free, targets.held) - 1) - late
+    anywhere = first + (torch.rand(len(first)) * (last - first).clamp_min(0)).long()
+    start = torch.where(torch.rand(len(first)) < LATE_SHARE, anywhere, first)
+    start = torch.minimum(start, (known - 4 - late).clamp_min(EARLIEST_FRAME))
+    return torch.minimum(start[:, None] + torch.arange(ROLLED_FRAMES), (known - 2)[:, None])
+
+
+def closed_loop_loss(model: ObActModel, outlook: Outlook, episodes: Episodes, rows: Tensor, teacher: Teacher) -> Tensor:
+    """Return the loss of each episode, ``(B,)``, from what the model believes at ``rows`` ``(B, R)``."""
+    targets, rig, device = episodes.targets, model.config.rig, model.device
+    assert targets is not None
+    due = rows[:, :1] + rig.delay_frames + torch.arange(rows.shape[1] + 1)  # (B, R + 1)
+    known = (due[:, :-1] < torch.minimum(targets.length, episodes.count)[:, None] - 1).to(device)
+    path = taken(targets.path, torch.minimum(due, targets.length[:, None] - 1)).to(device)
+    palm, state = episodes.palm(due[:, :1])[:, 0].to(device), taken(episodes.state, rows[:, 0]).to(device)
+    offsets = [palm - path[:, 0]]
+    for r in range(rows.shape[1]):
+        palm = stepped(palm, model.act_once(outlook[:, r], palm, state)[:, :3], rig.step_m)
+        offsets.append(palm - path[:, r + 1])
+    misses = teacher.misses(torch.stack(offsets, dim=1))  # (B, R')
+    known = known[:, : misses.shape[1]]
+    least = misses.masked_fill(~known, torch.inf).amin(1)
+    least = least.where(least.isfinite(), 0.0)
+    step = torch.sigmoid((least / teacher.radius_m - RIM) / SOFTNESS)
+    return (step + FAR_WEIGHT * (least / FAR_M).clamp_max(2.0)) * known.any(1)

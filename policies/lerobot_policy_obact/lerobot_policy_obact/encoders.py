@@ -127,7 +127,8 @@ class Eye(Encoder):
     def look(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """See `Encoder.look`."""
         now, before = images[:, :3], images[:, -3:]
-        pixels = torch.cat([now, saturation(now), now - before], dim=1).contiguous(memory_format=torch.channels_last)
+        saturation = now.amax(1, keepdim=True) - now.amin(1, keepdim=True)
+        pixels = torch.cat([now, saturation, now - before], dim=1).contiguous(memory_format=torch.channels_last)
         weight = self.patches.weight / self.pixel_std  # `standardise` folded into the weights of the first layer
         shift = reduce(weight * self.pixel_mean, "o i y x -> o", "sum")
         assert self.patches.bias is not None
@@ -176,10 +177,9 @@ class TransformersVision(Encoder):
         embedding: see `Encoder`.
         name: Hub name or folder; its ``config.json`` is needed whenever the policy is opened, its weights only when
             training starts.
-        pretrained: whether training starts from its weights.
     """
 
-    def __init__(self, embedding: int = 64, *, name: str = "facebook/dinov2-small", pretrained: bool = True) -> None:
+    def __init__(self, embedding: int = 64, *, name: str = "facebook/dinov2-small") -> None:
         from transformers import AutoConfig, AutoModel, ImageProcessingMixin
 
         settings, _ = ImageProcessingMixin.get_image_processor_dict(name)
@@ -187,7 +187,7 @@ class TransformersVision(Encoder):
         vision = getattr(config, "vision_config", config)
         dim = getattr(vision, "hidden_sizes", [vision.hidden_size])[-1]
         super().__init__(dim, embedding, settings["image_mean"], settings["image_std"])
-        self.name, self.pretrained, self.input_px = name, pretrained, getattr(vision, "image_size", None)
+        self.name, self.input_px = name, getattr(vision, "image_size", None)
         model = AutoModel.from_config(config)
         self.tower = getattr(model, "vision_model", model)  # of a model that also reads text, the image side
 
@@ -195,9 +195,8 @@ class TransformersVision(Encoder):
         """Load the tower's published weights."""
         from transformers import AutoModel
 
-        if self.pretrained:
-            model = AutoModel.from_pretrained(self.name)
-            self.tower.load_state_dict(getattr(model, "vision_model", model).state_dict())
+        model = AutoModel.from_pretrained(self.name)
+        self.tower.load_state_dict(getattr(model, "vision_model", model).state_dict())
 
     def cells(self, images: Tensor) -> Tensor:
         """See `Encoder.cells`; class tokens are left out."""
@@ -211,11 +210,6 @@ class TransformersVision(Encoder):
 
 
 ENCODERS: dict[str, type[Encoder]] = {"eye": Eye, "conv": Conv, "transformers": TransformersVision}
-
-
-def saturation(images: Tensor) -> Tensor:
-    """Return the largest minus the smallest channel of each pixel, ``(F, 3, H, W) -> (F, 1, H, W)`` in [0, 1]."""
-    return images.amax(1, keepdim=True) - images.amin(1, keepdim=True)
 
 
 def conv(n_in: int, n_out: int, stride: int = 1) -> nn.Sequential:

@@ -77,8 +77,10 @@ class Guidance:
         }
 
 
-class Denoiser(nn.Module):
-    """A residual perceptron over the ``size`` numbers of a chunk, in a context of ``context`` numbers."""
+class FlowDenoiser(nn.Module):
+    """Flow matching along straight paths; a residual perceptron over the ``size`` numbers of a chunk, in a context of
+    ``context`` numbers.
+    """
 
     def __init__(self, size: int, context: int, width: int = 128, n_blocks: int = 2) -> None:
         super().__init__()
@@ -100,11 +102,41 @@ class Denoiser(nn.Module):
             x = x + block(x)
         return self.out(x).view_as(chunk)
 
+    def error(self, target: Tensor, noise: Tensor, t: Tensor, context: Tensor) -> Tensor:
+        """Return by how much the prediction for a mixture of target and noise is off, ``(R, H, A)``."""
+        return self(torch.lerp(noise, target, t[:, None, None]), t, context) - (target - noise)
+
+    def velocity(self, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
+        """Return the velocity of the linear path at ``x`` ``(R, H, A)`` and ``t`` ``(R,)``, towards the data."""
+        return self(x, t, context)
+
+
+class DiffusionDenoiser(FlowDenoiser):
+    """Variance-preserving diffusion that predicts the signal, sampled by DDIM."""
+
+    def error(self, target: Tensor, noise: Tensor, t: Tensor, context: Tensor) -> Tensor:
+        """See `FlowDenoiser.error`."""
+        signal, spread = _mixing(t)
+        return self(signal * target + spread * noise, t, context) - target
+
+    def velocity(self, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
+        """See `FlowDenoiser.velocity`."""
+        own = 2 / torch.pi * torch.atan2(t, 1 - t)  # its own time, at which the signal's share is t
+        signal, spread = _mixing(own)
+        return (self(x * (signal + spread), own, context) - x) / (1 - t)[:, None, None]
+
+
+def _mixing(t: Tensor) -> tuple[Tensor, Tensor]:
+    """Return how much of signal and noise is mixed at times ``(R,)``, ``(R, 1, 1)`` each."""
+    angle = (t * torch.pi / 2)[:, None, None]
+    return angle.sin(), angle.cos()
+
 
 class ActionHead(nn.Module):
-    """Regression of a chunk with the scale of its error; subclasses denoise what that leaves.
+    """Regression of a chunk with the scale of its error; what that leaves is denoised.
 
     Args:
+        denoiser: how; None for regression alone.
         context: numbers of a context.
         horizon: actions of a chunk, H.
         groups: sizes of the groups of an action's entries that are scaled together (palm, fingers), of sum A.
@@ -115,10 +147,9 @@ class ActionHead(nn.Module):
         noise_seed: of the noise that `sample` starts from.
     """
 
-    generative = False
-
     def __init__(
         self,
+        denoiser: type[FlowDenoiser] | None,
         context: int,
         horizon: int,
         groups: list[int],
@@ -133,7 +164,12 @@ class ActionHead(nn.Module):
         self.horizon, self.groups, self.n_steps, self.action_dim = horizon, groups, n_steps, sum(groups)
         self.n_draws, self.closing_quantile, self.noise_seed = n_draws, closing_quantile, noise_seed
         self.base = nn.Linear(context, horizon * (self.action_dim + len(groups)))
-        self.denoiser = Denoiser(horizon * self.action_dim, context, width) if self.generative else None
+        self.denoiser = denoiser(horizon * self.action_dim, context, width) if denoiser else None
+
+    @property
+    def generative(self) -> bool:
+        """Whether it samples."""
+        return self.denoiser is not None
 
     def load_pretrained(self) -> None:
         """Load published weights: here there are none."""
@@ -165,22 +201,14 @@ class ActionHead(nn.Module):
         scales = zip(log_scale.exp().split(1, dim=-1), self.groups, strict=True)
         return torch.cat([scale.expand(-1, -1, size) for scale, size in scales], dim=-1)
 
-    def _denoising_loss(self, denoiser: Denoiser, context: Tensor, deviation: Tensor, weight: Tensor) -> Tensor:
+    def _denoising_loss(self, denoiser: FlowDenoiser, context: Tensor, deviation: Tensor, weight: Tensor) -> Tensor:
         """Return the loss of each row, ``(R,)``, of denoising deviations ``(R, H, A)``."""
         target = repeat(deviation, "r h a -> (r n) h a", n=DRAWS)
         t = torch.rand(len(target), device=target.device)
         t = torch.where(torch.rand_like(t) < PURE_NOISE_SHARE, 0.0, t)
         context = repeat(context, "r c -> (r n) c", n=DRAWS)
-        error = self.denoising_error(denoiser, target, torch.randn_like(target), t, context)
+        error = denoiser.error(target, torch.randn_like(target), t, context)
         return (rearrange(error.square().mean(-1), "(r n) h -> r n h", n=DRAWS) * weight[:, None]).mean((1, 2))
-
-    def denoising_error(self, denoiser: Denoiser, target: Tensor, noise: Tensor, t: Tensor, context: Tensor) -> Tensor:
-        """Return by how much the prediction for a mixture of target and noise is off, ``(R, H, A)``."""
-        raise NotImplementedError
-
-    def velocity(self, denoiser: Denoiser, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
-        """Return the velocity of the linear path at ``x`` ``(R, H, A)`` and ``t`` ``(R,)``, towards the data."""
-        raise NotImplementedError
 
     @property
     def noise_shape(self) -> tuple[int, int]:
@@ -211,47 +239,10 @@ class ActionHead(nn.Module):
         unit = self._unit(log_scale)
 
         def towards_noise(x: Tensor, time: Tensor) -> Tensor:  # LeRobot's loop runs from time 1, noise, to 0, data
-            return -self.velocity(denoiser, x, (1 - time).to(x), context)
+            return -denoiser.velocity(x, (1 - time).to(x), context)
 
         options = {}
         if guidance is not None:
             n = guidance.leftover.shape[1]
             options = guidance.options((guidance.leftover - mean[:, :n]) / unit[:, :n])
         return mean + unit * euler_integrate(towards_noise, start, n_steps, **options)
-
-
-class DiffusionHead(ActionHead):
-    """Variance-preserving diffusion that predicts the signal, sampled by DDIM."""
-
-    generative = True
-
-    def denoising_error(self, denoiser: Denoiser, target: Tensor, noise: Tensor, t: Tensor, context: Tensor) -> Tensor:
-        """See `ActionHead.denoising_error`."""
-        signal, spread = _mixing(t)
-        return denoiser(signal * target + spread * noise, t, context) - target
-
-    def velocity(self, denoiser: Denoiser, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
-        """See `ActionHead.velocity`."""
-        own = 2 / torch.pi * torch.atan2(t, 1 - t)  # its own time, at which the signal's share is t
-        signal, spread = _mixing(own)
-        return (denoiser(x * (signal + spread), own, context) - x) / (1 - t)[:, None, None]
-
-
-class FlowHead(ActionHead):
-    """Flow matching along straight paths."""
-
-    generative = True
-
-    def denoising_error(self, denoiser: Denoiser, target: Tensor, noise: Tensor, t: Tensor, context: Tensor) -> Tensor:
-        """See `ActionHead.denoising_error`."""
-        return denoiser(torch.lerp(noise, target, t[:, None, None]), t, context) - (target - noise)
-
-    def velocity(self, denoiser: Denoiser, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
-        """See `ActionHead.velocity`."""
-        return denoiser(x, t, context)
-
-
-def _mixing(t: Tensor) -> tuple[Tensor, Tensor]:
-    """Return how much of signal and noise is mixed at times ``(R,)``, ``(R, 1, 1)`` each."""
-    angle = (t * torch.pi / 2)[:, None, None]
-    return angle.sin(), angle.cos()

@@ -25,23 +25,19 @@ from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from .attention import Memory
-from .belief import FAR, FORECAST_FRAMES, Belief, Outlook
-from .camera import Pinhole
+from .belief import FAR, FORECAST_FRAMES, Belief, Frames, History, Outlook, Record, palm_of, stepped
 from .configuration_obact import HEADS, ObActConfig
-from .encoders import ENCODERS, N_SIGHTING, Encoder
-from .frames import Frames, History, Record, palm_of, stepped
+from .encoders import ENCODERS, Encoder
 from .heads import Guidance, perceptron
 
 if TYPE_CHECKING:
-    from .decisions import Decisions, Episodes
+    from .decisions import Episodes
     from .recordings import Recordings
     from .virtual_episodes import VirtualEpisodes
 
 Batch = dict[str, Any]
 N_FEATURES = 64
 """Numbers of the belief that the head reads beside the forecast."""
-MISSED_WEIGHT = 10.0
-"""Weight in the loss of the distance from the place that attention picks from the forecast to the right one [1/m]."""
 
 
 class ObActModel(nn.Module):
@@ -57,15 +53,7 @@ class ObActModel(nn.Module):
         self.config = config
         encoders = [ENCODERS[config.encoder](**config.options_of(key)) for key in config.cameras]
         self.encoders = nn.ModuleList(encoders).requires_grad_(not config.freeze_encoder)
-        self.belief = Belief(
-            [camera_of(config, key) for key in config.cameras],
-            sum(encoder.embedding for encoder in encoders),
-            dim=config.dim,
-            n_layers=config.n_layers,
-            n_heads=config.n_heads,
-            n_points=config.n_points,
-            fps=config.rig.fps,
-        )
+        self.belief = Belief(config, sum(encoder.embedding for encoder in encoders))
         self.features = nn.Linear(config.dim, N_FEATURES)
         n_inputs = 4 * len(FORECAST_FRAMES) + config.n_joints if config.forecasts else config.n_state
         self.trunk = nn.Sequential(perceptron(n_inputs + N_FEATURES, config.width, config.width), nn.SiLU())
@@ -102,8 +90,15 @@ class ObActModel(nn.Module):
         """Whether the encoders take each image together with the one before."""
         return ENCODERS[self.config.encoder].sees_motion
 
-    def encode_images(self, images: dict[str, Tensor]) -> Tensor:
-        """Return what each camera saw, ``(F, C, 5 + E)``; images are ``(F, 3 or 6, H, W)`` in [0, 1]."""
+    def encode_images(self, images: dict[str, Tensor], before: dict[str, Tensor]) -> Tensor:
+        """Return what each camera saw, ``(F, C, 5 + E)``.
+
+        Args:
+            images: of the cameras, RGB in [0, 1], ``(F, 3, H, W)`` each.
+            before: those of the frame before, which only matter to encoders that see motion.
+        """
+        if self.sees_motion:
+            images = {key: torch.cat([image, before[key]], dim=1) for key, image in images.items()}
         seen = [encoder(images[key]) for encoder, key in zip(self.encoders, self.config.cameras, strict=True)]
         return torch.stack(seen, dim=1)
 
@@ -113,17 +108,12 @@ class ObActModel(nn.Module):
         A decision that sees ``n_obs_frames`` frames, not all, is given a window of its own; else ``memory`` keeps those
         that come a few at a time.
         """
-        n, q = rows.shape
-        if windowed := self.config.n_obs_frames is not None:
-            memory = None
-            ages_s = torch.tensor(self.config.ages_s, device=rows.device)
-            frames = frames.windows(rows, ages_s)
-            rows = rows.new_full((n * q, 1), len(ages_s) - 1)
-        extra = frames.sightings[..., N_SIGHTING:].flatten(2)
-        outlook = self.belief(
-            frames.sightings[..., :N_SIGHTING], frames.palm, extra, frames.time_s, rows, memory=memory
-        )
-        return outlook.unflattened(n) if windowed else outlook
+        if self.config.n_obs_frames is None:
+            return self.belief(frames, rows, memory)
+        ages_s = torch.tensor(self.config.ages_s, device=rows.device)
+        last = rows.new_full((rows.numel(), 1), len(ages_s) - 1)
+        outlook = self.belief(frames.windows(rows, ages_s), last)
+        return outlook.map(lambda x: rearrange(x, "(b q) 1 ... -> b q ...", b=len(rows)))
 
     def condition(self, outlook: Outlook, palm: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """Return what the head reads, ``(R, C)``, and the places from which its actions count [m], ``(R, H, 3)``.
@@ -171,14 +161,6 @@ class ObActModel(nn.Module):
     def _origin(self, origin: Tensor) -> Tensor:
         n, size = self.config.relative_dims, len(self.action_mean)
         return torch.nn.functional.pad(origin[..., :n], (0, size - n)) + self.action_mean
-
-
-def camera_of(config: ObActConfig, key: str) -> Pinhole:
-    """Return the calibrated camera of an image key, or one that sees rays of unit depth from the origin."""
-    known = config.rig.calibration.get(key)
-    if known is None:
-        return Pinhole.from_pose([0, 0, 0, 1, 0, 0, 0], 1.0, carried=False)
-    return Pinhole.from_pose(known[:7], known[7], carried=bool(known[8]))
 
 
 @dataclass(frozen=True)
@@ -246,8 +228,7 @@ class ObActPolicy(PreTrainedPolicy):
             self.model.load_pretrained()
         if dataset_stats is not None:
             self.model.adopt_stats(dataset_stats)
-        decay = config.ema_decay
-        self.average = AveragedModel(self.model, multi_avg_fn=_ramped(decay)).requires_grad_(False) if decay else None
+        self.average = AveragedModel(self.model).requires_grad_(False) if config.ema_decay else None
         self.recordings: Recordings | None = None
         self.virtual: VirtualEpisodes | None = None
         self.init_rtc_processor()
@@ -278,7 +259,7 @@ class ObActPolicy(PreTrainedPolicy):
 
     def _losses_of_episodes(self, model: ObActModel, batch: Batch) -> dict[str, Tensor]:
         """Return the losses by episode, ``(B,)`` each; the first call encodes the dataset."""
-        from .closed_loop import closed_loop_loss, rolled_rows
+        from .decisions import closed_loop_loss, decision_losses, rolled_rows
 
         config, device = self.config, model.device
         episodes = self._episodes(batch["episode_index"].flatten().cpu())
@@ -288,14 +269,12 @@ class ObActPolicy(PreTrainedPolicy):
         closes = config.forecasts and config.closed_loop_weight > 0
         rolled = rolled_rows(episodes, config.rig.delay_frames) if closes else rows[:, :0]
         seen = torch.cat([rows, rolled], dim=1)
-        outlook = model.encode_history(episodes.frames(seen).to(device), seen.to(device))
+        outlook = model.encode_history(episodes.frames(seen, config.rig.fps).to(device), seen.to(device))
         n = config.n_decisions
-        losses = decision_losses(model, outlook.at(slice(n)), decisions.to(device))
+        losses = decision_losses(model, outlook[:, :n], decisions.to(device))
         if closes:
             assert self.recordings.teacher is not None
-            losses["closed_loop"] = closed_loop_loss(
-                model, outlook.at(slice(n, None)), episodes, rolled, self.recordings.teacher
-            )
+            losses["closed_loop"] = closed_loop_loss(model, outlook[:, n:], episodes, rolled, self.recordings.teacher)
         return losses
 
     def _episodes(self, named: Tensor) -> Episodes:
@@ -305,19 +284,24 @@ class ObActPolicy(PreTrainedPolicy):
 
         if self.recordings is None:
             self.recordings = Recordings.encoded(self._meta, self.config, self.acting)
-            if self.recordings.targets is not None:
+            if self.recordings.teacher is not None:
                 self.virtual = VirtualEpisodes(self.recordings, self.acting.belief.cameras)
         if not self.training:
-            return self.recordings.episodes(named)
+            return self.recordings.episodes[named]
         self.recordings.named[named] = True  # LeRobot may select episodes and hold others out; batches tell which
         n = len(named) * self.config.episodes_per_sample
         if self.virtual is not None and torch.rand(()) < self.config.virtual_share:
             return self.virtual.draw(n, self.acting)
-        return self.recordings.episodes(self.recordings.draw(n))
+        return self.recordings.draw(n)
 
     def update(self) -> None:
-        """Update the averaged weights; LeRobot calls this after every optimiser step."""
+        """Update the averaged weights; LeRobot calls this after every optimiser step.
+
+        The decay of their average grows with the updates: random first weights are soon forgotten.
+        """
         if self.average is not None:
+            n = int(self.average.n_averaged)
+            self.average.multi_avg_fn = get_ema_multi_avg_fn(min(self.config.ema_decay, (1 + n) / (10 + n)))
             self.average.update_parameters(self.model)
 
     def get_optim_params(self) -> list[dict[str, Any]]:
@@ -369,7 +353,7 @@ class ObActPolicy(PreTrainedPolicy):
             **kwargs: unused.
         """
         self.eval()
-        self._note(batch, self._now_s + 1 / self.config.rig.fps)
+        self._note(*self._seen(batch, self._now_s + 1 / self.config.rig.fps))
         if not self._queue:
             self._queue.extend(self._chunk()[:, : self.config.n_action_steps].unbind(1))
         action = self._queue.popleft()
@@ -384,15 +368,15 @@ class ObActPolicy(PreTrainedPolicy):
         twice: it counts once. One that asks late hands over a frame of the last tick: the wall clock counts in ticks.
         """
         self.eval()
-        now_s, fps = time.monotonic(), self.config.rig.fps
+        images, state, now_s = self._seen(batch, time.monotonic())
         if self._frames and "timestamp" not in batch:
-            (images, state), old = self._seen(batch), self._images
+            old, fps = self._images, self.config.rig.fps
             same = torch.equal(state, self._frames[-1].state[:, 0])
             if same and all(torch.equal(image, old[key]) for key, image in images.items()):
                 return
             ticks = round((now_s - self._began_s) * fps)
             now_s = max(self._began_s + ticks / fps, self._now_s + 1 / fps)
-        self._note(batch, now_s)
+        self._note(images, state, now_s)
 
     @torch.no_grad()
     def predict_action_chunk(
@@ -424,44 +408,43 @@ class ObActPolicy(PreTrainedPolicy):
                 guidance = Guidance(self.rtc_processor, left[:, :n_left], inference_delay or 0, execution_horizon)
         return self._chunk(guidance)
 
-    def _note(self, batch: Batch, time_s: float) -> None:
-        """Encode the newest frame and keep it; ``time_s`` counts if the batch does not say when it was seen.
+    def _seen(self, batch: Batch, time_s: float) -> tuple[dict[str, Tensor], Tensor, float]:
+        """Return the images and the vector observations of a batch, in the precision of the network, and when they were
+        seen [s], which is ``time_s`` if the batch does not say.
+        """
+        like = self._player.action_mean
+        images = {key: batch[key].to(like) for key in self.config.cameras}
+        state = torch.cat([batch[key] for key in self.config.state_keys], dim=-1).to(like)
+        return images, state, float(batch["timestamp"].flatten()[0]) if "timestamp" in batch else time_s
+
+    def _note(self, images: dict[str, Tensor], state: Tensor, time_s: float) -> None:
+        """Encode the newest frame, seen at ``time_s``, and keep it.
 
         Raises:
             ValueError: if the number of environments changed since `reset`.
         """
         model = self._player
-        now, state = self._seen(batch)
         if self._frames and len(self._frames[-1].state) != len(state):
             raise ValueError(
                 f"the batch changed from {len(self._frames[-1].state)} to {len(state)} environments: call "
                 "policy.reset() between rollouts."
             )
-        if "timestamp" in batch:
-            time_s = float(batch["timestamp"].flatten()[0])
         self._now_s = time_s
         if not self._frames:
             self._began_s = time_s  # single precision keeps differences of such times, not times of day
-        before = (self._images or now) if model.sees_motion else dict.fromkeys(now)
-        sightings = model.encode_images({key: _pairs(now[key], before[key]) for key in now})
-        self._images = now
+        sightings = model.encode_images(images, before=self._images or images)
+        self._images = images
         elapsed_s = round(time_s - self._began_s, 4)  # the same by timestamps in single precision as by counting
         self._frames.append(Frames(sightings[:, None], state[:, None], state.new_tensor([elapsed_s])))
         self._frame += 1
         self._outlook = self._history.see(model, self._frames[-1])
 
-    def _seen(self, batch: Batch) -> tuple[dict[str, Tensor], Tensor]:
-        """Return the images and the vector observations of a batch, in the precision of the network."""
-        config, like = self.config, self._player.action_mean
-        state = torch.cat([batch[key] for key in config.state_keys], dim=-1)
-        return {key: batch[key].to(like) for key in config.cameras}, state.to(like)
-
     def _chunk(self, guidance: Guidance | None = None) -> Tensor:
         """Return the chunk for the newest frame, ``(B, H, A)``."""
         assert self._outlook is not None
-        model, frame, outlook = self._player, self._frames[-1], self._outlook.at(0)
+        model, frame, outlook = self._player, self._frames[-1], self._outlook[:, 0]
         context, origin = model.condition(outlook, self._due(), frame.state[:, 0])
-        eyes, rays = model.belief.sighted(frame.sightings, frame.palm)
+        eyes, rays = model.belief.sighted(frame)
         seen, sighted = frame.sightings[:, 0], (eyes + rays)[:, 0]
         self.thought = Thought(seen, sighted, outlook.forecast, model.belief.ahead_s, origin[:, 0], outlook.weights)
         if guidance is not None:
@@ -523,55 +506,21 @@ class ObActPolicy(PreTrainedPolicy):
         return {"target_modules": r"model\.belief\.blocks\..*\.(qkv|out)", "modules_to_save": []}
 
 
-def decision_losses(model: ObActModel, outlook: Outlook, decisions: Decisions) -> dict[str, Tensor]:
-    """Return the losses of forecast and action by episode, ``(B,)`` each."""
-    losses, n = {}, len(outlook.features)
-    if decisions.future is not None:
-        losses["forecast"] = decisions.future.loss(outlook.forecast, model.belief.ahead_s)
-    palm, state, actions, weight = (
-        x.flatten(0, 2) for x in (decisions.palm, decisions.state, decisions.actions, decisions.weight)
-    )
-    context, origin = model.condition(outlook.repeated(decisions.palm.shape[2]), palm, state)
-    loss = model.head.loss(context, model.normalise(actions, origin.detach()), weight)  # (B * Q * M,)
-    losses["action"] = rearrange(loss, "(b n) -> b n", b=n).mean(1)
-    if decisions.future is not None:
-        missed = ((actions[..., :3] - origin).square().sum(-1) + 1e-8).sqrt()  # by the place that was picked
-        losses["missed"] = MISSED_WEIGHT * rearrange((missed * weight).mean(-1), "(b n) -> b n", b=n).mean(1)
-    return losses
-
-
 def _losses_of_windows(model: ObActModel, batch: Batch) -> dict[str, Tensor]:
     """Return the losses of decisions at the end of windows of images, ``(B,)`` each."""
-    from .decisions import Decisions
+    from .decisions import Decisions, decision_losses
 
     config, offsets = model.config, model.config.observation_delta_indices or []
     at = [offsets.index(offset) for offset in config.lookback]
-    before = [offsets.index(offset - 1) for offset in config.lookback] if model.sees_motion else None
-    images = {
-        key: _pairs(batch[key][:, at], None if before is None else batch[key][:, before]) for key in config.cameras
-    }
-    flat = model.encode_images({key: rearrange(x, "b t ... -> (b t) ...") for key, x in images.items()})
+    before = [offsets.index(offset - 1) for offset in config.lookback] if model.sees_motion else at
+    images = ({key: batch[key][:, index].flatten(0, 1) for key in config.cameras} for index in (at, before))
+    seen = model.encode_images(*images)
     state = torch.cat([batch[key][:, at] for key in config.state_keys], dim=-1)
     time_s = torch.tensor(config.lookback, device=state.device) / config.rig.fps
-    frames = Frames(rearrange(flat, "(b t) ... -> b t ...", t=len(at)), state, time_s)
+    frames = Frames(rearrange(seen, "(b t) ... -> b t ...", t=len(at)), state, time_s)
     rows = torch.full((len(state), 1), len(at) - 1, device=state.device)
     actions, padding = batch[ACTION], batch.get(f"{ACTION}_is_pad")
     weight = torch.ones(actions.shape[:2], device=state.device) if padding is None else (~padding).float()
     palm, now = frames.palm[:, -1:, None], frames.state[:, -1:, None]
     decisions = Decisions(palm, now, actions[:, None, None], weight[:, None, None])
     return decision_losses(model, model.encode_history(frames, rows), decisions)
-
-
-def _pairs(now: Tensor, before: Tensor | None) -> Tensor:
-    """Return images together with the ones before, ``(..., 3, H, W) -> (..., 6, H, W)``, if the encoder sees motion."""
-    return now if before is None else torch.cat([now, before], dim=-3)
-
-
-def _ramped(decay: float) -> Any:
-    """Return an exponential average whose decay grows with the updates: random first weights are soon forgotten."""
-
-    def average(averaged: Any, current: Any, n_averaged: Any) -> None:
-        n = int(n_averaged)
-        get_ema_multi_avg_fn(min(decay, (1 + n) / (10 + n)))(averaged, current, n_averaged)
-
-    return average

@@ -2,12 +2,11 @@
 
 A recorded episode shows one hand on its way to one target. What is believed about the target does not depend on where
 the palm is, so each decision is taken from several palms at once, and a teacher, a function of the state, answers for
-all of them. There is one for each rule of capture: `Meet` and `Grip`.
+all of them: `Teacher` where the palm has to come near enough, `Grip` where the fingers must hold the target.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -15,10 +14,22 @@ import torch
 from einops import repeat
 from torch import Tensor
 
-from .frames import Record
+from .belief import Record, taken
 
 NEAREST_M, FARTHEST_M = 0.004, 0.15
 """Least and greatest standard deviation by which palms are moved, along each axis."""
+LONGEST_FRAMES = 100
+"""A teacher looks this far ahead for a meeting."""
+CLOSED_FRAMES, CLOSING_FRAMES = 24, 8
+"""Fingers are closed this long before the meeting, and take this long to close."""
+PLANNED_SPEED = 0.85
+"""Share of the palm's speed limit that it plans with where that suffices: a palm that needs all of it comes too late
+whenever the forecast was wrong."""
+SLACK = 0.5
+"""Within this share of the radius the palm has met the target. Without it, a hand that trails a slightly faster target
+heads for a distant meeting instead of closing the last centimetres."""
+STILL_FRAMES = 4
+"""Fingers that must grip take this long to close, and until then the palm must stay with the target."""
 
 
 @dataclass(frozen=True)
@@ -39,10 +50,6 @@ class Targets(Record):
     carried: Tensor
     held: Tensor
 
-    def of(self, chosen: Tensor | slice) -> Targets:
-        """Return those of episodes ``(B,)``."""
-        return self.map(lambda x: x[chosen])
-
     def is_held(self, frame: Tensor) -> Tensor:
         """Return whether targets are in the hand in frames ``(B, Q)``."""
         return frame >= self.held[:, None]
@@ -53,8 +60,8 @@ class Targets(Record):
         Seen from frames ``(B, Q)`` before the catch, that is the untouched path.
         """
         index = torch.minimum(frame, self.length[:, None, None] - 1)
-        rows = torch.arange(len(frame))[:, None, None]
-        return torch.where(self.is_held(seen_from)[..., None, None], self.carried[rows, index], self.path[rows, index])
+        held = self.is_held(seen_from)[..., None, None]
+        return torch.where(held, taken(self.carried, index), taken(self.path, index))
 
 
 @dataclass(frozen=True)
@@ -75,8 +82,8 @@ class Answers:
 
 
 @dataclass(frozen=True)
-class Teacher(ABC):
-    """A rule of capture, and what to do under it.
+class Teacher:
+    """Be where the target comes within a radius of the palm: at the earliest point of its path that is in reach.
 
     Attributes:
         fps: frame rate [Hz].
@@ -94,65 +101,11 @@ class Teacher(ABC):
     carries: ClassVar[bool] = False
     """Whether a target that is caught goes where the hand goes, and there is still something to decide."""
 
-    @property
-    def squeeze_rad(self) -> float:
-        """How much farther than closed the joints are commanded [rad]."""
-        return 0.0
-
-    @abstractmethod
     def answer(self, targets: Targets, due: Tensor, palms: Tensor, horizon: int) -> Answers:
-        """Return what to do with palms ``(B, Q, M, 3)`` [m] in frames ``due`` ``(B, Q)``."""
+        """Return what to do with palms ``(B, Q, M, 3)`` [m] in frames ``due`` ``(B, Q)``.
 
-    @abstractmethod
-    def caught(self, targets: Targets, frame: int, palm: Tensor, moved: Tensor, closed: Tensor) -> Tensor:
-        """Return whether hands ``(B,)``, ``closed`` or not, catch their targets between ``frame`` and the next one, in
-        which their palms are at ``palm`` and ``moved`` ``(B, 3)`` [m].
+        A palm that is in time nowhere goes where it misses by least.
         """
-
-    @abstractmethod
-    def misses(self, offsets: Tensor) -> Tensor:
-        """Return how far palms at ``offsets`` ``(B, R, 3)`` [m] from their targets are from catching, frame by frame,
-        ``(B, R')`` [m], R' < R.
-        """
-
-    def joints(self, closing: Tensor) -> Tensor:
-        """Return commands to the joints [rad], ``(..., J)``, of hands that should be closed by ``(...)``."""
-        return torch.lerp(self.open_joints, self.closed_joints + self.squeeze_rad, closing[..., None])
-
-    def closed_share(self, joints: Tensor) -> Tensor:
-        """Return how far joints ``(..., J)`` are closed, 0 open, 1 closed, ``(...)``."""
-        return (joints - self.open_joints).sum(-1) / (self.closed_joints - self.open_joints).sum()
-
-    def palms(self, targets: Targets, due: Tensor, palm: Tensor) -> Tensor:
-        """Draw four palms for each decision, ``(B, Q, 4, 3)`` [m]: the one that was at ``palm`` ``(B, Q, 3)`` in frames
-        ``due`` ``(B, Q)``, and others near it and near the target. A palm that holds the target stays where it is.
-        """
-        place = targets.places(due[..., None], due)[:, :, 0]
-        base = torch.stack([palm, palm, palm, place], dim=2)
-        spread = NEAREST_M * (FARTHEST_M / NEAREST_M) ** torch.rand(*base.shape[:3], 1)
-        moved = base + spread * torch.randn_like(base)
-        moved[:, :, 0] = palm
-        return torch.where(targets.is_held(due)[..., None, None], palm[:, :, None], moved)
-
-
-LONGEST_FRAMES = 100
-"""`Meet` looks this far ahead."""
-CLOSED_FRAMES, CLOSING_FRAMES = 24, 8
-"""Fingers are closed this long before the meeting, and take this long to close."""
-PLANNED_SPEED = 0.85
-"""Share of the palm's speed limit that it plans with where that suffices: a palm that needs all of it comes too late
-whenever the forecast was wrong."""
-SLACK = 0.5
-"""Within this share of the radius the palm has met the target. Without it, a hand that trails a slightly faster target
-heads for a distant meeting instead of closing the last centimetres."""
-
-
-@dataclass(frozen=True)
-class Meet(Teacher):
-    """Be where the target comes within a radius of the palm: at the earliest point of its path that is in reach."""
-
-    def answer(self, targets: Targets, due: Tensor, palms: Tensor, horizon: int) -> Answers:
-        """See `Teacher.answer`; a palm that is in time nowhere goes where it misses by least."""
         ahead = torch.arange(1, LONGEST_FRAMES + 1)
         frame = due[..., None] + ahead  # (B, Q, K)
         future = targets.places(frame, due)[:, :, None]  # (B, Q, 1, K, 3)
@@ -171,17 +124,36 @@ class Meet(Teacher):
         return Answers(meeting.expand(-1, -1, -1, horizon, -1), closing, frames, reachable)
 
     def caught(self, targets: Targets, frame: int, palm: Tensor, moved: Tensor, closed: Tensor) -> Tensor:
-        """See `Teacher.caught`: by the least distance."""
+        """Return whether hands ``(B,)``, ``closed`` or not, catch their targets between ``frame`` and the next one, in
+        which their palms are at ``palm`` and ``moved`` ``(B, 3)`` [m]: here, by the least distance.
+        """
         start, end = (targets.path[:, min(frame + i, targets.path.shape[1] - 1)] for i in (0, 1))
         return (passing_distance(start - palm, end - moved) < self.radius_m) & (frame < targets.length - 1)
 
     def misses(self, offsets: Tensor) -> Tensor:
-        """See `Teacher.misses`: by how much they pass it."""
+        """Return how far palms at ``offsets`` ``(B, R, 3)`` [m] from their targets are from catching, frame by frame,
+        ``(B, R')`` [m], R' < R: here, by how much they pass them.
+        """
         return passing_distance(offsets[:, :-1], offsets[:, 1:])
 
+    def joints(self, closing: Tensor) -> Tensor:
+        """Return commands to the joints [rad], ``(..., J)``, of hands that should be closed by ``(...)``."""
+        return torch.lerp(self.open_joints, self.closed_joints, closing[..., None])
 
-STILL_FRAMES = 4
-"""Fingers take this long to close, and until then the palm must stay with the target."""
+    def closed_share(self, joints: Tensor) -> Tensor:
+        """Return how far joints ``(..., J)`` are closed, 0 open, 1 closed, ``(...)``."""
+        return (joints - self.open_joints).sum(-1) / (self.closed_joints - self.open_joints).sum()
+
+    def palms(self, targets: Targets, due: Tensor, palm: Tensor) -> Tensor:
+        """Draw four palms for each decision, ``(B, Q, 4, 3)`` [m]: the one that was at ``palm`` ``(B, Q, 3)`` in frames
+        ``due`` ``(B, Q)``, and others near it and near the target. A palm that holds the target stays where it is.
+        """
+        place = targets.places(due[..., None], due)[:, :, 0]
+        base = torch.stack([palm, palm, palm, place], dim=2)
+        spread = NEAREST_M * (FARTHEST_M / NEAREST_M) ** torch.rand(*base.shape[:3], 1)
+        moved = base + spread * torch.randn_like(base)
+        moved[:, :, 0] = palm
+        return torch.where(targets.is_held(due)[..., None, None], palm[:, :, None], moved)
 
 
 class Grip(Teacher):
@@ -206,14 +178,13 @@ class Grip(Teacher):
         return match
 
     @property
-    def squeeze_rad(self) -> float:
-        """See `Teacher.squeeze_rad`."""
-        return self.expert.SQUEEZE_RAD
-
-    @property
     def seat(self) -> Tensor:
         """Where a held target is, from the palm [m], ``(3,)``."""
         return torch.tensor(self.expert.SEAT_M, dtype=torch.float32)
+
+    def joints(self, closing: Tensor) -> Tensor:
+        """See `Teacher.joints`; they are commanded to close farther than they can, which is what holds the target."""
+        return torch.lerp(self.open_joints, self.closed_joints + self.expert.SQUEEZE_RAD, closing[..., None])
 
     def answer(self, targets: Targets, due: Tensor, palms: Tensor, horizon: int) -> Answers:
         """See `Teacher.answer`."""

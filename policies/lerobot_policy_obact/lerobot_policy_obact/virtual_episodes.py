@@ -11,17 +11,16 @@ from __future__ import annotations
 
 from collections import deque
 from copy import deepcopy
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
+from .belief import Frames, History, palm_of, stepped
 from .camera import Pinhole
 from .decisions import Episodes
 from .encoders import N_SIGHTING
-from .frames import Frames, History, stepped
 from .recordings import NEVER, SPREAD, Recordings, similar
 from .teacher import Targets, Teacher
 
@@ -52,22 +51,19 @@ class VirtualEpisodes:
     """
 
     def __init__(self, recordings: Recordings, cameras: list[Pinhole]) -> None:
-        assert recordings.targets is not None
-        assert recordings.teacher is not None
-        assert recordings.places is not None
-        self.recordings, self.targets, self.teacher = recordings, recordings.targets, recordings.teacher
+        everyone, teacher, places = recordings.episodes, recordings.teacher, recordings.places
+        assert everyone.targets is not None
+        assert teacher is not None
+        assert places is not None
+        self.recordings, self.targets, self.teacher = recordings, everyone.targets, teacher
         self.cameras = [deepcopy(cam).cpu() for cam in cameras]
-        palm, closed = recordings.state[:, :3], self._closed(recordings.state)
-        episode = torch.repeat_interleave(torch.arange(len(recordings.count)), recordings.count)
-        frame = torch.arange(len(episode)) - recordings.first[episode]
-        usable = (
-            torch.ones_like(frame, dtype=torch.bool) if self.teacher.carries else frame < self.targets.free[episode]
-        )
-        true = [cam.seen(recordings.places - cam.origin(palm)) for cam in self.cameras]
-        self.errors = [
-            SightingErrors(recordings.sightings[:, i], torch.cat([seen, closed[:, None]], 1), episode, usable)
-            for i, seen in enumerate(true)
-        ]
+        palm, closed = palm_of(everyone.state), self._closed(everyone.state)
+        frame = torch.arange(palm.shape[1])
+        usable = (frame < everyone.count[:, None]) & ((frame < self.targets.free[:, None]) | teacher.carries)
+        self.errors = []
+        for i, cam in enumerate(self.cameras):
+            true = torch.cat([cam.seen(places - cam.origin(palm)), closed[..., None]], dim=-1)
+            self.errors.append(SightingErrors(everyone.sightings[:, :, i], true, everyone.count, usable))
         self._pool: Episodes | None = None
         self._uses = 0
 
@@ -78,33 +74,29 @@ class VirtualEpisodes:
             pool = self._pool = self._play(self.recordings.named.nonzero()[:, 0], max(POOL, n * SPREAD), model)
             self._uses = USES * len(pool.count)
         self._uses -= n
-        rows = similar(torch.randperm(len(pool.count))[: n * SPREAD], pool.count, n)
-        t, targets = int(pool.count[rows].max()), pool.targets
-        assert targets is not None
-        sightings, state, actions = (x[rows, :t] for x in (pool.sightings, pool.state, pool.actions))
-        return Episodes(sightings, state, actions, pool.count[rows], pool.window[rows], pool.fps, targets.of(rows))
+        return pool[similar(torch.randperm(len(pool.count))[: n * SPREAD], pool.count, n)]
 
     @torch.no_grad()
     def _play(self, known: Tensor, n: int, model: ObActModel) -> Episodes:
         """Return n episodes with targets of ``known`` ones, the longest first, so that the last rows are over first."""
         chosen = known[torch.randint(len(known), (n,))]
         chosen = chosen[self.targets.length[chosen].argsort(descending=True)]
-        everyone, window, teacher = self.targets.of(chosen), self.recordings.window[chosen], self.teacher
+        everyone, window, teacher = self.targets[chosen], self.recordings.episodes.window[chosen], self.teacher
         length = everyone.length.clamp_max(LONGEST_FRAMES)
         hands = _Hands(n, teacher, model)
         frames = [errors.of_any(n, known) for errors in self.errors]
         sightings = torch.zeros(n, int(length[0]), len(self.cameras), N_SIGHTING)
-        state = torch.zeros(n, len(sightings[0]), self.recordings.state.shape[-1])
-        time_s, thought = torch.arange(len(sightings[0])) / self.recordings.fps, 0
+        state = torch.zeros(n, len(sightings[0]), self.recordings.episodes.state.shape[-1])
+        time_s, thought = torch.arange(len(sightings[0])) / teacher.fps, 0
         for t in range(len(time_s)):
             m = int((length > t).sum())
-            targets, acting = everyone.of(slice(m)), window[:m] <= t
+            targets, acting = everyone[:m], window[:m] <= t
             hands.keep(m)
             state[:m, t] = self._state(hands)
             closed = self._closed(state[:m, t])[:, None]
             for i, (errors, cam) in enumerate(zip(self.errors, self.cameras, strict=True)):
                 true = torch.cat([cam.seen(targets.carried[:, t] - cam.origin(hands.palm)), closed], dim=-1)
-                frames[i] = errors.next(frames[i][:m], true, self.recordings)
+                frames[i] = errors.next(frames[i][:m], true)
                 sightings[:m, t, i] = errors.applied(frames[i], true)
             before = hands.palm
             if acting.any():  # the frames in which all hands wait are thought about at once
@@ -119,7 +111,7 @@ class VirtualEpisodes:
                 targets.carried[:, t + 1] = torch.where(held[:, None], carried, targets.carried[:, t + 1])
         everyone.free.copy_(torch.minimum(length, everyone.held + (HELD_FRAMES if teacher.carries else 0)))
         actions = torch.empty(n, len(time_s), 0)
-        return Episodes(sightings, state, actions, length, window, self.recordings.fps, everyone)
+        return Episodes(sightings, state, actions, length, window, everyone)
 
     def _closed(self, state: Tensor) -> Tensor:
         """Return how far hands in states ``(..., S)`` are closed, ``(...)``; 0 where they hide nothing in the end."""
@@ -130,7 +122,7 @@ class VirtualEpisodes:
     def _state(self, hands: _Hands) -> Tensor:
         """Return the states of hands, ``(B, S)``."""
         joints = torch.lerp(self.teacher.open_joints, self.teacher.closed_joints, hands.closed[:, None])
-        n_rest = self.recordings.state.shape[-1] - 3 - joints.shape[-1]
+        n_rest = self.recordings.episodes.state.shape[-1] - 3 - joints.shape[-1]
         return pad(torch.cat([hands.palm, joints], dim=-1), (0, n_rest))
 
 
@@ -159,7 +151,7 @@ class _Hands:
         frame_due = (targets.length - 2).clamp_max(t + late)[:, None]
         told = teacher.answer(targets, frame_due, due[:, None, None], 1)
         outlook = self.history.see(self.model, seen.to(device))
-        action = self.model.act_once(outlook.at(0), due.to(device), seen.state[:, -1].to(device)).cpu()
+        action = self.model.act_once(outlook[:, 0], due.to(device), seen.state[:, -1].to(device)).cpu()
         closed = teacher.closed_share(action[:, 3:])
         goal = torch.where(self.led[:, None], action[:, :3], told.goal[:, 0, 0, 0])
         closed = torch.where(self.led, closed, told.closing[:, 0, 0, 0]).clamp(0, 1)
@@ -173,42 +165,40 @@ class _Hands:
             self.palm = stepped(self.palm, goal, rig.step_m)
 
 
-@dataclass
 class SightingErrors:
-    """What a camera saw in the N recorded frames, and what it should have seen.
+    """What a camera saw in the recorded frames, and what it should have seen.
 
-    Attributes:
-        seen: sightings ``(N, 5)``.
-        true: ``(u, v, log depth)`` and how far the fingers that may hide it are closed, ``(N, 4)``.
-        episode: of each, ``(N,)``.
-        usable: whether it shows the target as it moves by itself, ``(N,)``.
+    Frames are numbered through all E episodes, each of which has T.
+
+    Args:
+        seen: sightings ``(E, T, 5)``.
+        true: ``(u, v, log depth)`` and how far the fingers that may hide it are closed, ``(E, T, 4)``.
+        count: frames of each episode, ``(E,)``.
+        usable: whether a frame shows the target as it moves by itself, ``(E, T)``.
     """
 
-    seen: Tensor
-    true: Tensor
-    episode: Tensor
-    usable: Tensor
-
-    def __post_init__(self) -> None:
-        self._shown = _in_view(self.true)
+    def __init__(self, seen: Tensor, true: Tensor, count: Tensor, usable: Tensor) -> None:
+        self.seen, self.true, self.usable = seen.flatten(0, 1), true.flatten(0, 1), usable.flatten()
+        self._count, self._n_frames, self._shown = count, usable.shape[1], _in_view(self.true)
+        self._last = (len(count) - 1) * self._n_frames + int(count[-1]) - 1
 
     def of_any(self, n: int, known: Tensor) -> Tensor:
         """Draw n usable frames of ``known`` episodes."""
-        frames = (torch.isin(self.episode, known) & self.usable).nonzero()[:, 0]
-        self._frames = frames
-        return frames[torch.randint(len(frames), (n,))]
+        of_known = torch.isin(torch.arange(len(self._count)), known).repeat_interleave(self._n_frames)
+        self._frames = (of_known & self.usable).nonzero()[:, 0]
+        return self._frames[torch.randint(len(self._frames), (n,))]
 
-    def next(self, frame: Tensor, true: Tensor, recordings: Recordings) -> Tensor:
+    def next(self, frame: Tensor, true: Tensor) -> Tensor:
         """Return frames whose errors come after those of ``frame`` ``(B,)`` if ``true`` ``(B, 4)`` is to be seen.
 
         That is the frame that was recorded next, if it is near enough; else one of the same episode; else any.
         """
-        n, episode = len(frame), self.episode[frame]
-        follower = (frame + 1).clamp_max(len(self.episode) - 1)
-        follows = self.usable[follower] & (self.episode[follower] == episode)
+        n, episode = len(frame), frame // self._n_frames
+        follower = (frame + 1).clamp_max(self._last)
+        follows = self.usable[follower] & (follower // self._n_frames == episode)
         lost = ~(follows & (self._distance(follower[:, None], true)[:, 0] < 1))
-        within = (torch.rand(n, OWN_CANDIDATES) * recordings.count[episode, None]).long()
-        own, near = self._nearest((recordings.first[episode, None] + within)[lost], true[lost])
+        within = (torch.rand(n, OWN_CANDIDATES) * self._count[episode, None]).long()
+        own, near = self._nearest((episode[:, None] * self._n_frames + within)[lost], true[lost])
         other = self._frames[torch.randint(len(self._frames), (n, CANDIDATES))[lost]]
         follower[lost] = torch.where(near < 1, own, self._nearest(other, true[lost])[0])
         return follower

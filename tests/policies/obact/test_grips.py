@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import torch
-from lerobot_policy_obact.frames import stepped
+from lerobot_policy_obact.belief import stepped
 from lerobot_policy_obact.recordings import GRIP_M, NEVER
 from lerobot_policy_obact.teacher import Grip, Targets
 

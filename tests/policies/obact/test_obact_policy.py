@@ -21,15 +21,14 @@ from lerobot.policies import make_pre_post_processors
 from lerobot.policies.rtc import RTCConfig
 from lerobot.scripts.lerobot_train import main
 from lerobot_policy_obact import ObActConfig, ObActPolicy
-from lerobot_policy_obact.closed_loop import closed_loop_loss, rolled_rows
 from lerobot_policy_obact.configuration_obact import Rig
-from lerobot_policy_obact.decisions import Episodes
+from lerobot_policy_obact.decisions import Episodes, closed_loop_loss, decision_losses, rolled_rows
 from lerobot_policy_obact.encoders import SHIPPED
 from lerobot_policy_obact.export import export
 from lerobot_policy_obact.launch_policy_server import allow_obact
-from lerobot_policy_obact.modeling_obact import ObActModel, decision_losses
+from lerobot_policy_obact.modeling_obact import ObActModel
 from lerobot_policy_obact.recordings import NEVER
-from lerobot_policy_obact.teacher import Grip, Meet, Targets, Teacher
+from lerobot_policy_obact.teacher import Grip, Targets, Teacher
 from lerobot_policy_obact.virtual_episodes import SightingErrors
 from safetensors.torch import load_file
 from torch._subclasses.fake_tensor import FakeTensorMode
@@ -130,7 +129,7 @@ def test_it_trains_on_a_dataset_that_is_not_ours(head, options, push_root, tmp_p
 
 
 def test_it_learns_from_recorded_episodes_with_the_target_s_path(hand_root, tmp_path, monkeypatch):
-    monkeypatch.setattr("lerobot_policy_obact.encoded_images.HF_LEROBOT_HOME", tmp_path)
+    monkeypatch.setattr("lerobot_policy_obact.recordings.HF_LEROBOT_HOME", tmp_path)
     policy = ObActPolicy.from_pretrained(lerobot_train(monkeypatch, hand_root, tmp_path / "out", **RECORDED))
     config = policy.config
     assert config.forecasts
@@ -142,7 +141,7 @@ def test_it_learns_from_recorded_episodes_with_the_target_s_path(hand_root, tmp_
 
 
 def test_on_the_contact_track_it_learns_to_close_and_to_hold(contact_root, tmp_path, monkeypatch):
-    monkeypatch.setattr("lerobot_policy_obact.encoded_images.HF_LEROBOT_HOME", tmp_path)
+    monkeypatch.setattr("lerobot_policy_obact.recordings.HF_LEROBOT_HOME", tmp_path)
     options = RECORDED | {"virtual_share": 1.0}
     policy = ObActPolicy.from_pretrained(lerobot_train(monkeypatch, contact_root, tmp_path / "out", **options))
     assert policy.config.grips
@@ -167,7 +166,7 @@ def test_on_the_contact_track_it_learns_to_close_and_to_hold(contact_root, tmp_p
     ids=["recorded", "virtual", "actions alone"],
 )
 def test_the_loss_falls(changes, falls, hand_root, tmp_path, monkeypatch):
-    monkeypatch.setattr("lerobot_policy_obact.encoded_images.HF_LEROBOT_HOME", tmp_path)
+    monkeypatch.setattr("lerobot_policy_obact.recordings.HF_LEROBOT_HOME", tmp_path)
     policy = learner(hand_root, **changes)
     optimizer = torch.optim.Adam(policy.get_optim_params(), lr=3e-3)
     batch, losses = {"episode_index": torch.arange(4), "action": torch.zeros(4, 4, 18)}, []
@@ -185,7 +184,7 @@ def test_the_loss_falls(changes, falls, hand_root, tmp_path, monkeypatch):
 
 
 def test_the_closed_loop_teaches_forecast_and_head(hand_root, tmp_path, monkeypatch):
-    monkeypatch.setattr("lerobot_policy_obact.encoded_images.HF_LEROBOT_HOME", tmp_path)
+    monkeypatch.setattr("lerobot_policy_obact.recordings.HF_LEROBOT_HOME", tmp_path)
     pull = {}
     for weight in (0.0, 4.0):
         weights = {"action_weight": 0.0, "forecast_weight": 1e-12, "closed_loop_weight": weight}
@@ -204,18 +203,16 @@ def test_a_palm_is_rolled_out_from_when_the_first_command_takes_effect(late: int
     state, full = torch.full((1, 60, 18), 9.0), torch.tensor([60])
     state[:, 10 + late, :3] = path[:, 10 + late]
     targets = Targets(path, full, full, path, torch.tensor([NEVER]))
-    episodes = Episodes(
-        torch.zeros(1, 60, 1, 5), state, torch.zeros(1, 60, 18), full, torch.tensor([10]), 20.0, targets
-    )
+    episodes = Episodes(torch.zeros(1, 60, 1, 5), state, torch.zeros(1, 60, 18), full, torch.tensor([10]), targets)
     config = SimpleNamespace(rig=Rig(delay_frames=late, palm_speed_m_s=0.5))
     still = SimpleNamespace(config=config, device="cpu", act_once=lambda outlook, palm, state: palm)
     rows = torch.arange(10, 34)[None]
-    teacher = Meet(20.0, 0.025, torch.zeros(15), torch.ones(15), 0.03)
-    assert closed_loop_loss(still, SimpleNamespace(at=int), episodes, rows, teacher) < 0.05
-    assert closed_loop_loss(still, SimpleNamespace(at=int), episodes, rows + 1, teacher) > 1
+    teacher = Teacher(20.0, 0.025, torch.zeros(15), torch.ones(15), 0.03)
+    assert closed_loop_loss(still, torch.zeros(1, 24), episodes, rows, teacher) < 0.05
+    assert closed_loop_loss(still, torch.zeros(1, 24), episodes, rows + 1, teacher) > 1
 
 
-@pytest.mark.parametrize("teacher", [Meet, Grip])
+@pytest.mark.parametrize("teacher", [Teacher, Grip])
 def test_a_training_step_mixes_no_devices(teacher: type[Teacher]):
     """Fake tensors need no GPU, and refuse what one would refuse."""
     rig = Rig(palm_speed_m_s=0.5, capture="contact" if teacher is Grip else "attach")
@@ -225,22 +222,22 @@ def test_a_training_step_mixes_no_devices(teacher: type[Teacher]):
     path, full = torch.rand(2, 60, 3), torch.full((2,), 60)
     targets = Targets(path, full, full, path, torch.full((2,), NEVER))
     state = torch.zeros(2, 60, 18)
-    episodes = Episodes(torch.zeros(2, 60, 2, 5), state, state, full, torch.tensor([10, 12]), 20.0, targets)
+    episodes = Episodes(torch.zeros(2, 60, 2, 5), state, state, full, torch.tensor([10, 12]), targets)
     expert = teacher(20.0, 0.025, torch.zeros(15), torch.ones(15), 0.03)
     rows, rolled = episodes.decision_rows(3, 0), rolled_rows(episodes, 0)
     decisions, seen = episodes.decisions(rows, expert, config), torch.cat([rows, rolled], dim=1)
-    frames = episodes.frames(seen)
+    frames = episodes.frames(seen, 20.0)
     with FakeTensorMode(allow_non_fake_inputs=True), sdpa_kernel(SDPBackend.MATH):
         with torch.device("cuda"):
             model = ObActModel(config)
         outlook = model.encode_history(frames.to("cuda"), seen.to("cuda"))
-        losses = decision_losses(model, outlook.at(slice(3)), decisions.to("cuda"))
-        losses["closed_loop"] = closed_loop_loss(model, outlook.at(slice(3, None)), episodes, rolled, expert)
+        losses = decision_losses(model, outlook[:, :3], decisions.to("cuda"))
+        losses["closed_loop"] = closed_loop_loss(model, outlook[:, 3:], episodes, rolled, expert)
     assert {loss.device.type for loss in losses.values()} == {"cuda"}
 
 
 def test_virtual_hands_stay_where_they_are_when_the_policy_moves(hand_root, tmp_path, monkeypatch):
-    monkeypatch.setattr("lerobot_policy_obact.encoded_images.HF_LEROBOT_HOME", tmp_path)
+    monkeypatch.setattr("lerobot_policy_obact.recordings.HF_LEROBOT_HOME", tmp_path)
     monkeypatch.setattr("lerobot_policy_obact.virtual_episodes.POOL", 1)
     monkeypatch.setattr("lerobot_policy_obact.virtual_episodes.USES", 0)  # each call plays episodes of its own
     policy = learner(hand_root, virtual_share=1.0)
@@ -255,14 +252,14 @@ def test_the_closed_loop_loss_falls_where_the_head_learns_to_meet_the_target():
     path, full = torch.tensor([0.1, 0.05, -0.05]).expand(1, 60, 3), torch.tensor([60])
     targets = Targets(path, full, full, path, torch.tensor([NEVER]))
     still = torch.zeros(1, 60, 18)
-    episodes = Episodes(torch.zeros(1, 60, 1, 5), still, still, full, torch.tensor([10]), 20.0, targets)
+    episodes = Episodes(torch.zeros(1, 60, 1, 5), still, still, full, torch.tensor([10]), targets)
     goal = torch.zeros(3, requires_grad=True)
     head = lambda outlook, palm, state: torch.cat([goal.expand(1, 3), state[:, 3:]], dim=1)  # noqa: E731
     model = SimpleNamespace(config=SimpleNamespace(rig=Rig(palm_speed_m_s=0.5)), device="cpu", act_once=head)
-    teacher = Meet(20.0, 0.025, torch.zeros(15), torch.ones(15), 0.03)
+    teacher = Teacher(20.0, 0.025, torch.zeros(15), torch.ones(15), 0.03)
     optimizer, losses = torch.optim.Adam([goal], lr=0.02), []
     for _ in range(60):
-        loss = closed_loop_loss(model, SimpleNamespace(at=int), episodes, torch.arange(10, 34)[None], teacher).sum()
+        loss = closed_loop_loss(model, torch.zeros(1, 24), episodes, torch.arange(10, 34)[None], teacher).sum()
         optimizer.zero_grad()
         loss.backward()
         assert goal.grad is not None
@@ -274,7 +271,7 @@ def test_the_closed_loop_loss_falls_where_the_head_learns_to_meet_the_target():
 
 @pytest.mark.parametrize("virtual_share", [0.0, 1.0], ids=["recorded", "virtual"])
 def test_it_learns_from_no_episode_that_lerobot_holds_out(virtual_share, hand_root, tmp_path, monkeypatch):
-    monkeypatch.setattr("lerobot_policy_obact.encoded_images.HF_LEROBOT_HOME", tmp_path)
+    monkeypatch.setattr("lerobot_policy_obact.recordings.HF_LEROBOT_HOME", tmp_path)
     monkeypatch.setattr("lerobot_policy_obact.virtual_episodes.POOL", 1)
     monkeypatch.setattr("lerobot_policy_obact.virtual_episodes.USES", 0)  # each call plays episodes of its own
     policy = learner(hand_root, virtual_share=virtual_share, episodes_per_sample=8)
@@ -283,9 +280,8 @@ def test_it_learns_from_no_episode_that_lerobot_holds_out(virtual_share, hand_ro
         return {"episode_index": torch.tensor(episodes), "action": torch.zeros(len(episodes), 4, 18)}
 
     policy(named(0, 1))
-    held_out = policy.recordings.first[2]
-    policy.recordings.sightings[held_out:] = torch.nan
-    policy.recordings.targets.path[2:] = torch.nan
+    policy.recordings.episodes.sightings[2:] = torch.nan
+    policy.recordings.episodes.targets.path[2:] = torch.nan
     for n in (2, 1, 2):  # the last batch of an epoch is smaller
         loss, _ = policy(named(*range(n)))
         assert loss.isfinite()
@@ -295,7 +291,7 @@ def test_it_learns_from_no_episode_that_lerobot_holds_out(virtual_share, hand_ro
 
 
 def test_fingers_that_need_not_grip_hide_nothing_in_recorded_and_virtual_frames(hand_root, tmp_path, monkeypatch):
-    monkeypatch.setattr("lerobot_policy_obact.encoded_images.HF_LEROBOT_HOME", tmp_path)
+    monkeypatch.setattr("lerobot_policy_obact.recordings.HF_LEROBOT_HOME", tmp_path)
     monkeypatch.setattr("lerobot_policy_obact.virtual_episodes.POOL", 1)
     shown, follow = [], SightingErrors.next
     monkeypatch.setattr(SightingErrors, "next", lambda self, *told: shown.append(told[1]) or follow(self, *told))
@@ -537,7 +533,7 @@ ALONE = """if True:
     checkpoint, root, out = sys.argv[1:]
     policy, seen = ObActPolicy.from_pretrained(checkpoint), torch.load(f"{out}/seen.pt")
     torch.save(torch.stack([policy.select_action(batch) for batch in seen]), f"{out}/actions.pt")
-    training = {"teacher", "decisions", "closed_loop", "recordings", "encoded_images", "virtual_episodes"}
+    training = {"teacher", "decisions", "recordings", "virtual_episodes"}
     assert not training & {name.split(".")[-1] for name in sys.modules if name.startswith("lerobot_policy_obact")}
     meta = LeRobotDataset("local/tiny", root=root).meta
     policy = ObActPolicy(policy.config, dataset_stats=meta.stats, dataset_meta=meta, load_pretrained=False).train()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from lerobot_policy_obact.frames import stepped
+from lerobot_policy_obact.belief import stepped
 from lerobot_policy_obact.recordings import NEVER
 from lerobot_policy_obact.recordings import RADIUS_M as RADIUS_BY_RULE
 from lerobot_policy_obact.teacher import (
@@ -13,8 +13,8 @@ from lerobot_policy_obact.teacher import (
     SLACK,
     Answers,
     Grip,
-    Meet,
     Targets,
+    Teacher,
     passing_distance,
 )  # fmt: skip
 
@@ -29,7 +29,9 @@ def targets_on(path: torch.Tensor) -> Targets:
 
 
 def answers(path: torch.Tensor, due: torch.Tensor, palms: torch.Tensor, horizon: int = 1) -> Answers:
-    return Meet(20.0, STEP_M, torch.zeros(15), torch.ones(15), RADIUS_M).answer(targets_on(path), due, palms, horizon)
+    return Teacher(20.0, STEP_M, torch.zeros(15), torch.ones(15), RADIUS_M).answer(
+        targets_on(path), due, palms, horizon
+    )
 
 
 def paths(n: int, frames: int = 60) -> torch.Tensor:
@@ -91,7 +93,7 @@ def test_fingers_are_closed_before_the_meeting_and_open_long_before():
 def test_the_first_palm_is_the_one_that_was_there_and_the_others_are_near_it_or_the_target():
     torch.manual_seed(0)
     path, due, palm = paths(50), torch.full((50, 2), 20), torch.randn(50, 2, 3) * 0.1
-    palms = Meet(20.0, STEP_M, torch.zeros(15), torch.ones(15), RADIUS_M).palms(targets_on(path), due, palm)
+    palms = Teacher(20.0, STEP_M, torch.zeros(15), torch.ones(15), RADIUS_M).palms(targets_on(path), due, palm)
     assert torch.equal(palms[:, :, 0], palm)
     for i, near in ((1, palm), (2, palm), (3, path[:, 20][:, None])):
         assert 0.01 < (palms[:, :, i] - near).norm(dim=-1).median() < 0.15
@@ -134,7 +136,7 @@ def test_a_palm_that_passes_its_target_meets_it_but_does_not_grip_it():
     hand = (20.0, STEP_M, torch.zeros(15), torch.ones(15), RADIUS_M)
     frames = torch.arange(-5, 6)[:, None]
     passes = frames * torch.tensor([0.0, 0.04, 0.0])
-    meet, grip = Meet(*hand), Grip(*hand)
+    meet, grip = Teacher(*hand), Grip(*hand)
     stays = (frames.abs() > 2) * torch.tensor([0.0, 0.2, 0.0])
     assert float(meet.misses(passes[None]).min()) < 0.001
     assert float(grip.misses((passes - grip.seat)[None]).min()) == pytest.approx(0.04, abs=1e-4)

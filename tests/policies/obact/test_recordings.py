@@ -9,7 +9,7 @@ import pytest
 import torch
 from lerobot.datasets import LeRobotDatasetMetadata
 from lerobot.datasets.video_utils import decode_video_frames
-from lerobot_policy_obact import ObActConfig, encoded_images
+from lerobot_policy_obact import ObActConfig, recordings
 from lerobot_policy_obact.modeling_obact import ObActModel
 from safetensors.torch import save_file
 
@@ -21,7 +21,7 @@ LENGTHS = [3, 4]
 @pytest.fixture
 def encode(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., torch.Tensor]:
     """Encode the images of a dataset, which are zeros; each call counts in ``encode.calls``."""
-    monkeypatch.setattr(encoded_images, "HF_LEROBOT_HOME", tmp_path)
+    monkeypatch.setattr(recordings, "HF_LEROBOT_HOME", tmp_path)
     config = ObActConfig(encoder="conv", encoder_options={"channels": 8}, **FEATURES)
     model, calls = ObActModel(config), []
 
@@ -30,12 +30,12 @@ def encode(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tor
             calls.append(length)
             yield torch.zeros(length, 3, 32, 32, dtype=torch.uint8)
 
-    monkeypatch.setattr(encoded_images, "_images", images)
+    monkeypatch.setattr(recordings, "_images", images)
 
     def call(**changes: object) -> torch.Tensor:
         for name, value in changes.items():
             setattr(config, name, value)
-        return encoded_images.encoded_images(SimpleNamespace(root=tmp_path / "none"), config, model, LENGTHS)
+        return recordings.encoded_images(SimpleNamespace(root=tmp_path / "none"), config, model, LENGTHS)
 
     call.calls = calls  # pyright: ignore[reportFunctionMemberAccess]
     return call
@@ -44,7 +44,7 @@ def encode(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tor
 def test_every_image_is_the_one_that_lerobot_reads(dataset: Path):
     meta = LeRobotDatasetMetadata("local/ours", root=dataset)
     lengths, key = list(meta.episodes["length"]), meta.video_keys[0]
-    for i, images in enumerate(encoded_images._images(meta, key, lengths)):
+    for i, images in enumerate(recordings._images(meta, key, lengths)):
         start_s = meta.episodes[i][f"videos/{key}/from_timestamp"]
         times_s = [start_s + t / meta.fps for t in range(lengths[i])]
         file = dataset / meta.get_video_file_path(i, key)
@@ -52,11 +52,11 @@ def test_every_image_is_the_one_that_lerobot_reads(dataset: Path):
         assert images.equal(expected)
     lengths[-1] += 1
     with pytest.raises(ValueError, match=f"lacks images of episode {len(lengths) - 1}, of {lengths[-1]} frames"):
-        list(encoded_images._images(meta, key, lengths))
+        list(recordings._images(meta, key, lengths))
 
 
 def cached(folder: Path) -> Path:
-    (file,) = (folder / encoded_images.CACHE).iterdir()
+    (file,) = (folder / recordings.CACHE).iterdir()
     return file
 
 
@@ -110,11 +110,11 @@ def test_a_file_of_another_user_is_not_believed(encode, monkeypatch: pytest.Monk
 
 
 def test_a_home_that_cannot_be_written_costs_one_warning(encode, tmp_path: Path, caplog):
-    (tmp_path / encoded_images.CACHE).write_text("a file where the folder should be")
+    (tmp_path / recordings.CACHE).write_text("a file where the folder should be")
     encode()
     assert len(caplog.records) == 1
 
 
 def test_it_can_be_switched_off(encode, tmp_path: Path):
     encode(cache_images=False)
-    assert not (tmp_path / encoded_images.CACHE).exists()
+    assert not (tmp_path / recordings.CACHE).exists()
