@@ -204,6 +204,7 @@ class ObActPolicy(PreTrainedPolicy):
     config_class: ClassVar[type[ObActConfig]] = ObActConfig
     name: ClassVar[str] = "obact"
     config: ObActConfig
+    _shown: list[Tensor] | None = None  # the state and the images observed last, also before `reset`
 
     def __init__(
         self,
@@ -338,6 +339,7 @@ class ObActPolicy(PreTrainedPolicy):
         self._frame = -1  # the number of the newest one
         self._began_s = self._now_s = 0.0  # when the first and the newest one were seen
         self._images: dict[str, Tensor] = {}
+        self._stale = False  # whether the only frame is the last one of the episode before
         self._queue: deque[Tensor] = deque()
         self._sent: deque[Tensor] = deque(maxlen=self.config.rig.delay_frames + 1)
         self.thought: Thought | None = None
@@ -366,16 +368,22 @@ class ObActPolicy(PreTrainedPolicy):
 
         A caller that asks faster than the robot's clock ticks, as LeRobot's real-time chunking does, hands over a frame
         twice: it counts once. One that asks late hands over a frame of the last tick: the wall clock counts in ticks.
+        After `reset` it hands over the last frame of the previous episode, which is forgotten when another one comes.
         """
         self.eval()
         images, state, now_s = self._seen(batch, time.monotonic())
-        if self._frames and "timestamp" not in batch:
-            old, fps = self._images, self.config.rig.fps
-            same = torch.equal(state, self._frames[-1].state[:, 0])
-            if same and all(torch.equal(image, old[key]) for key, image in images.items()):
+        if "timestamp" not in batch:
+            shown, old = [state, *images.values()], self._shown
+            same = old is not None and all(map(torch.equal, shown, old))
+            if same and self._frames:
                 return
-            ticks = round((now_s - self._began_s) * fps)
-            now_s = max(self._began_s + ticks / fps, self._now_s + 1 / fps)
+            if self._stale:
+                self.reset()
+            self._shown, self._stale = shown, same
+            if self._frames:
+                fps = self.config.rig.fps
+                ticks = round((now_s - self._began_s) * fps)
+                now_s = max(self._began_s + ticks / fps, self._now_s + 1 / fps)
         self._note(images, state, now_s)
 
     @torch.no_grad()

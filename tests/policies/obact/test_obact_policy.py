@@ -436,6 +436,19 @@ def test_frames_are_ticks_of_the_robots_clock_however_often_and_late_a_caller_as
     torch.testing.assert_close(torch.stack(hurried[1:]), torch.stack(regular))
 
 
+def test_the_last_frame_of_the_episode_before_is_forgotten(monkeypatch):
+    policy = varied(n_obs_frames=None)
+    clock = chain([100.0, 100.05, 110.0, 110.02, 110.07, 110.12, 0.0, 0.05], repeat(0.0))
+    monkeypatch.setattr("time.monotonic", lambda: next(clock))
+    for i in (8, 9):
+        policy.predict_action_chunk(step(policy, seed=i))
+    policy.reset()
+    stale = [policy.predict_action_chunk(step(policy, seed=i)) for i in (9, 9, 0, 1)]
+    policy.reset()
+    fresh = [policy.predict_action_chunk(step(policy, seed=i)) for i in (0, 1)]
+    torch.testing.assert_close(torch.stack(stale[2:]), torch.stack(fresh))
+
+
 def test_real_time_chunking_is_not_guided_to_the_zeros_that_lerobot_fills_up_with():
     policy = varied(n_obs_frames=None, horizon=4, rtc_config=RTCConfig(enabled=True, execution_horizon=10))
     left = torch.rand(2, 3, policy.config.n_actions)
@@ -447,6 +460,7 @@ def test_real_time_chunking_is_not_guided_to_the_zeros_that_lerobot_fills_up_wit
 
     torch.testing.assert_close(guided(filled), guided(left))
     torch.testing.assert_close(guided(torch.zeros_like(left)), guided(None))
+    torch.testing.assert_close(guided(left[:, :0]), guided(None))  # --inference.rtc.execution_horizon=0
     assert not torch.allclose(guided(left), guided(None))
 
 
