@@ -90,7 +90,8 @@ class PolicyAgent(ChunkAgent):
         from lerobot.policies.rtc import RTCConfig
 
         self._policy.config.rtc_config = self._policy.config.rtc_config or RTCConfig()
-        self._policy.init_rtc_processor()
+        if hasattr(self._policy, "init_rtc_processor"):
+            self._policy.init_rtc_processor()
 
     @_in_a_sentence
     def watch(self, observation: Observation) -> None:

@@ -30,7 +30,7 @@ from lerobot.policies.common.flow_matching import euler_integrate
 from safetensors import safe_open
 from torch import Tensor, nn
 
-from .heads import Guidance, frame_noise
+from .heads import frame_noise
 
 BETA_ALPHA, TIME_SCALE, N_TIME_BUCKETS = 1.5, 0.999, 1000
 CHECKPOINT_PREFIX = "action_head."
@@ -125,7 +125,7 @@ class Gr00tHead(nn.Module):
 
     def loss(self, context: Tensor, actions: Tensor, weight: Tensor) -> Tensor:
         """See `ActionHead.loss`; the padding of the action is excluded."""
-        target = self._padded(actions)
+        target = F.pad(actions, (0, self.max_action_dim - actions.shape[-1]))
         u = torch.rand(len(target), device=target.device) ** (1 / BETA_ALPHA)
         t = (TIME_SCALE - u) / TIME_SCALE
         noise = torch.randn_like(target)
@@ -137,20 +137,19 @@ class Gr00tHead(nn.Module):
         """Shape of the noise that a chunk starts from."""
         return self.horizon, self.max_action_dim
 
-    def sample(self, context: Tensor, frame: int, guidance: Guidance | None = None) -> Tensor:
+    def sample(self, context: Tensor, frame: int) -> Tensor:
         """See `ActionHead.sample`."""
         start = frame_noise(self.noise_seed, frame, (1, *self.noise_shape), context)
-        return self.denoise(context, start.expand(len(context), -1, -1), self.n_steps, guidance)
+        return self.denoise(context, start.expand(len(context), -1, -1), self.n_steps)
 
-    def denoise(self, context: Tensor, start: Tensor, n_steps: int, guidance: Guidance | None = None) -> Tensor:
+    def denoise(self, context: Tensor, start: Tensor, n_steps: int) -> Tensor:
         """See `ActionHead.denoise`; ``start`` is noise of the padded action."""
         memory = self.memory(context)
 
         def towards_noise(x: Tensor, time: Tensor) -> Tensor:
             return -self.velocity(x, 1 - time, memory)
 
-        options = {} if guidance is None else guidance.options(self._padded(guidance.leftover))
-        return euler_integrate(towards_noise, start, n_steps, **options)[..., : self.action_dim]
+        return euler_integrate(towards_noise, start, n_steps)[..., : self.action_dim]
 
     def memory(self, context: Tensor) -> Tensor:
         """Return the vision-language token that the transformer attends to, ``(R, 1, C)``."""
@@ -165,9 +164,6 @@ class Gr00tHead(nn.Module):
         future = self.future_tokens.weight.expand(len(x), -1, -1)
         queries = torch.cat([self.state_encoder(state, slot), future.to(actions.dtype), actions], dim=1)
         return self.action_decoder(self.model(queries, memory, bucket), slot)[:, -x.shape[1] :]
-
-    def _padded(self, actions: Tensor) -> Tensor:
-        return F.pad(actions, (0, self.max_action_dim - actions.shape[-1]))
 
     def load_pretrained(self) -> None:
         """Load the weights of ``checkpoint``, if one is given.

@@ -7,13 +7,10 @@
 
 Time runs from t = 0, noise, to t = 1, data. Diffusion mixes signal and noise as sin and cos of t pi / 2 (variance
 preserving) and predicts the signal; flow mixes them linearly and predicts the velocity. Dividing the former by the sum
-of its two coefficients gives the latter's path, so one Euler loop samples both (DDIM is exact there), and LeRobot's
-real-time chunking guides both.
+of its two coefficients gives the latter's path, so one Euler loop samples both (DDIM is exact there).
 """
 
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import torch
@@ -48,33 +45,6 @@ def frame_noise(seed: int, frame: int, shape: tuple[int, ...], like: Tensor) -> 
     """
     drawn = np.random.default_rng((seed, frame)).standard_normal(shape, dtype=np.float32)
     return torch.from_numpy(drawn).to(like)
-
-
-@dataclass(frozen=True)
-class Guidance:
-    """LeRobot's real-time chunking: towards the actions of the previous chunk that will be executed meanwhile.
-
-    Attributes:
-        processor: LeRobot's ``RTCProcessor``.
-        leftover: those actions as the head predicts them, ``(B, n, A)``, at most a chunk.
-        inference_delay: how many of them are executed before this chunk is ready.
-        execution_horizon: over how many actions the guidance fades out; None for the processor's own.
-    """
-
-    processor: Any
-    leftover: Tensor
-    inference_delay: int
-    execution_horizon: int | None
-
-    def options(self, leftover: Tensor) -> dict[str, Any]:
-        """Return the options of LeRobot's Euler loop; ``leftover`` is in the unit that is integrated."""
-        return {
-            "rtc_processor": self.processor,
-            "rtc_enabled": True,
-            "inference_delay": self.inference_delay,
-            "prev_chunk_left_over": leftover,
-            "execution_horizon": self.execution_horizon,
-        }
 
 
 class FlowDenoiser(nn.Module):
@@ -215,23 +185,23 @@ class ActionHead(nn.Module):
         """Shape of the noise that a chunk starts from, ``(H, A)``."""
         return self.horizon, self.action_dim
 
-    def sample(self, context: Tensor, frame: int, guidance: Guidance | None = None) -> Tensor:
+    def sample(self, context: Tensor, frame: int) -> Tensor:
         """Sample a chunk for every context, ``(R, C) -> (R, H, A)``.
 
         ``n_draws`` chunks start from the noise of the frame, which is counted from the start of the episode, and a
-        quantile of every entry makes one of them. With ``guidance``, a single one is sampled.
+        quantile of every entry makes one of them.
         """
         if self.denoiser is None:
             return self.regress(context)[0]
-        n = 1 if guidance is not None else self.n_draws
+        n = self.n_draws
         noise = frame_noise(self.noise_seed, frame, (n, *self.noise_shape), context)
         start = repeat(noise, "n h a -> (r n) h a", r=len(context))
-        draws = self.denoise(repeat(context, "r c -> (r n) c", n=n), start, self.n_steps, guidance)
+        draws = self.denoise(repeat(context, "r c -> (r n) c", n=n), start, self.n_steps)
         draws = rearrange(draws, "(r n) h a -> n r h a", n=n).sort(dim=0).values
         palm, rest = draws.split([self.groups[0], self.action_dim - self.groups[0]], dim=-1)
         return torch.cat([palm[n // 2], rest[int(n * self.closing_quantile)]], dim=-1)
 
-    def denoise(self, context: Tensor, start: Tensor, n_steps: int, guidance: Guidance | None = None) -> Tensor:
+    def denoise(self, context: Tensor, start: Tensor, n_steps: int) -> Tensor:
         """Return the chunks ``(R, H, A)`` that noise ``start`` ``(R, H, A)`` becomes in contexts ``(R, C)``."""
         mean, log_scale = self.regress(context)
         if (denoiser := self.denoiser) is None:
@@ -241,8 +211,4 @@ class ActionHead(nn.Module):
         def towards_noise(x: Tensor, time: Tensor) -> Tensor:  # LeRobot's loop runs from time 1, noise, to 0, data
             return -denoiser.velocity(x, (1 - time).to(x), context)
 
-        options = {}
-        if guidance is not None:
-            n = guidance.leftover.shape[1]
-            options = guidance.options((guidance.leftover - mean[:, :n]) / unit[:, :n])
-        return mean + unit * euler_integrate(towards_noise, start, n_steps, **options)
+        return mean + unit * euler_integrate(towards_noise, start, n_steps)

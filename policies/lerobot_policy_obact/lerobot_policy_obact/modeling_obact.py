@@ -12,14 +12,13 @@ from __future__ import annotations
 import time
 from collections import deque
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self, cast
 
 import torch
 from einops import einsum, rearrange, repeat
 from lerobot.policies.pretrained import PreTrainedPolicy
-from lerobot.policies.rtc import RTCProcessor
 from lerobot.utils.constants import ACTION, OBS_STATE
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
@@ -27,8 +26,8 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from .attention import Memory
 from .belief import FAR, FORECAST_FRAMES, Belief, Frames, History, Outlook, Record, palm_of, stepped
 from .configuration_obact import HEADS, ObActConfig
-from .encoders import ENCODERS, Encoder
-from .heads import Guidance, perceptron
+from .encoders import ENCODERS, N_SIGHTING, Encoder
+from .heads import perceptron
 
 if TYPE_CHECKING:
     from .decisions import Episodes
@@ -232,7 +231,6 @@ class ObActPolicy(PreTrainedPolicy):
         self.average = AveragedModel(self.model).requires_grad_(False) if config.ema_decay else None
         self.recordings: Recordings | None = None
         self.virtual: VirtualEpisodes | None = None
-        self.init_rtc_processor()
         self.reset()
 
     # -- training -------------------------------------------------------------------------------------------------
@@ -285,7 +283,8 @@ class ObActPolicy(PreTrainedPolicy):
 
         if self.recordings is None:
             self.recordings = Recordings.encoded(self._meta, self.config, self.acting)
-            if self.recordings.teacher is not None:
+            described = self.recordings.episodes.sightings.shape[-1] > N_SIGHTING  # by what no virtual hand sees
+            if self.recordings.teacher is not None and not described:
                 self.virtual = VirtualEpisodes(self.recordings, self.acting.belief.cameras)
         if not self.training:
             return self.recordings.episodes[named]
@@ -402,19 +401,13 @@ class ObActPolicy(PreTrainedPolicy):
 
         Args:
             batch: preprocessed observation of one step.
-            inference_delay: real-time chunking: actions that will have been executed when this chunk is ready.
-            prev_chunk_left_over: real-time chunking: the unexecuted ones, ``(B, n, A)`` or ``(n, A)``.
-            execution_horizon: real-time chunking: actions over which the guidance to them fades out.
+            inference_delay, prev_chunk_left_over, execution_horizon: of real-time chunking, unused. Consecutive chunks
+                follow from one history and need no guidance. The head's errors agree over a whole chunk, so guidance
+                towards the first actions of the previous chunk keeps its outdated forecast.
             **kwargs: unused.
         """
         self.observe(batch)
-        guidance = None
-        if self.rtc_processor is not None and prev_chunk_left_over is not None:
-            left = prev_chunk_left_over.reshape(len(self._frames[-1].state), -1, prev_chunk_left_over.shape[-1])
-            n_left = int(left.any(-1).any(0).sum())  # LeRobot fills up with zeros, to which nothing may be guided
-            if n_left:
-                guidance = Guidance(self.rtc_processor, left[:, :n_left], inference_delay or 0, execution_horizon)
-        return self._chunk(guidance)
+        return self._chunk()
 
     def _seen(self, batch: Batch, time_s: float) -> tuple[dict[str, Tensor], Tensor, float]:
         """Return the images and the vector observations of a batch, in the precision of the network, and when they were
@@ -447,7 +440,7 @@ class ObActPolicy(PreTrainedPolicy):
         self._frame += 1
         self._outlook = self._history.see(model, self._frames[-1])
 
-    def _chunk(self, guidance: Guidance | None = None) -> Tensor:
+    def _chunk(self) -> Tensor:
         """Return the chunk for the newest frame, ``(B, H, A)``."""
         assert self._outlook is not None
         model, frame, outlook = self._player, self._frames[-1], self._outlook[:, 0]
@@ -455,10 +448,7 @@ class ObActPolicy(PreTrainedPolicy):
         eyes, rays = model.belief.sighted(frame)
         seen, sighted = frame.sightings[:, 0], (eyes + rays)[:, 0]
         self.thought = Thought(seen, sighted, outlook.forecast, model.belief.ahead_s, origin[:, 0], outlook.weights)
-        if guidance is not None:
-            leftover = guidance.leftover[:, : self.config.horizon]
-            guidance = replace(guidance, leftover=model.normalise(leftover, origin[:, : leftover.shape[1]]))
-        return model.unnormalise(model.head.sample(context, self._frame, guidance), origin).float()
+        return model.unnormalise(model.head.sample(context, self._frame), origin).float()
 
     def _due(self) -> Tensor:
         """Return where the palm will be when the next command takes effect [m], ``(B, 3)``.
@@ -486,13 +476,8 @@ class ObActPolicy(PreTrainedPolicy):
     # -- real-time chunking, adapters, checkpoints ----------------------------------------------------------------
 
     def supports_rtc(self) -> bool:
-        """Return whether `predict_action_chunk` honours real-time chunking: the head samples."""
-        return self.model.head.generative
-
-    def init_rtc_processor(self) -> None:
-        """Build the guidance that ``config.rtc_config`` describes; `lerobot-rollout` calls this after setting it."""
-        rtc = self.config.rtc_config
-        self.rtc_processor = RTCProcessor(rtc) if rtc is not None and rtc.enabled else None
+        """Return True: `lerobot-rollout` may ask for the next chunk while the robot executes this one."""
+        return True
 
     @classmethod
     def from_pretrained(cls, pretrained_name_or_path: str | Path, **kwargs: Any) -> Self:

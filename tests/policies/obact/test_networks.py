@@ -4,7 +4,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from lerobot.policies.rtc import RTCConfig, RTCProcessor
 from lerobot_policy_obact.attention import (
     AGE_STEP_S,
     MEMORY_FRAMES,
@@ -17,7 +16,7 @@ from lerobot_policy_obact.attention import (
 )
 from lerobot_policy_obact.configuration_obact import HEADS
 from lerobot_policy_obact.gr00t_head import Gr00tHead
-from lerobot_policy_obact.heads import ActionHead, Guidance
+from lerobot_policy_obact.heads import ActionHead
 from safetensors.torch import save_file
 
 from tests.checkpoints import SMALL_GR00T
@@ -164,19 +163,6 @@ def test_regression_answers_with_the_middle():
     assert torch.equal(first, second)
     assert first[0, 0].abs() < 1.1
     assert first[0, 1].abs() < 0.1
-
-
-@pytest.mark.parametrize("name", GENERATIVE)
-def test_guidance_continues_the_chunk_before(name: str):
-    head = trained(name, lambda n: two_answers(n).expand(-1, 6, -1).clone(), horizon=6)
-    processor = RTCProcessor(RTCConfig(enabled=True, execution_horizon=6))
-    context = torch.zeros(64, 4)
-    leftover = torch.tensor([1.0, 0.0]).expand(64, 4, 2)
-    start = torch.randn(64, 6, 2)
-    guided = head.denoise(context, start, 8, Guidance(processor, leftover, 2, None))
-    free = head.denoise(context, start, 8)
-    assert (guided[:, :2, 0] > 0.5).float().mean() > 0.9
-    assert (free[:, :2, 0] > 0.5).float().mean() < 0.7
 
 
 def test_padding_does_not_count():
