@@ -4,7 +4,7 @@ import io
 import json
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -32,8 +32,9 @@ from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.rollout.inference import SYNC
 from dynahoi_lerobot.rollout.loop import ActionLog
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.sampling.fingerprint import surroundings
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.splits import without_salt
+from dynahoi_lerobot.sampling.splits import stream_label, without_salt
 
 METRICS_FILE = "metrics.json"
 EPISODES_FILE = "episodes.parquet"
@@ -87,6 +88,14 @@ class RunInfo:
     fingerprint: str
     extra: dict[str, Any] = field(default_factory=dict)
     benchmark: str = BENCHMARK.version
+
+    @classmethod
+    def begun(cls, policy: str, recipe: Recipe, weights: Mapping[str, str] | None = None, **told: Any) -> Self:
+        """Return what this command line begins to play, of a recipe; ``told`` and ``weights`` are in ``extra``."""
+        extra = {"recipe": recipe.stored(), **told, "surroundings": surroundings()}
+        extra |= {} if weights is None else {WEIGHTS: dict(weights)}
+        split = stream_label(recipe.split, recipe.salt)
+        return cls(policy, split, recipe.capture, command_line(), recipe.fingerprint(), extra)
 
     def task(self) -> dict[str, Any]:
         """Return what must be equal for an evaluation to be resumed."""
@@ -146,8 +155,7 @@ class Results:
         how many of 255 levels the images were changed by at most, ``0`` if they were not; ``path_speed`` how many times
         as fast targets were on their paths, ``1`` unless they are twins.
         """
-        recipe = self.info.extra.get("recipe")
-        told = recipe if isinstance(recipe, dict) else {}
+        told = self.info.extra.get("recipe", {})
         return {
             "protocol": self.rows[0]["protocol"],
             "capture": self.info.capture,
