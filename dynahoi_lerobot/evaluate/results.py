@@ -134,7 +134,8 @@ class Results:
         """
         if not all((folder / name).exists() for name in (EPISODES_FILE, ACTIONS_FILE)):
             return cls(folder, info)
-        rows, actions = _read_saved(folder)
+        rows = _read_rows(folder / EPISODES_FILE)
+        actions = _read_actions(folder / ACTIONS_FILE, rows)
         return cls(folder, info, tuple(rows[: len(actions)]), tuple(actions[: len(rows)]))
 
     def plus(self, episodes: Sequence[Episode]) -> Self:
@@ -246,7 +247,8 @@ def read_results(folder: Path) -> Results:
     if missing := [name for name in (METRICS_FILE, EPISODES_FILE, ACTIONS_FILE) if not (folder / name).exists()]:
         raise ReadError(f"{folder} holds no results: {missing[0]} is missing; {REMEDY}")
     head = _read_head(folder / METRICS_FILE)
-    rows, actions = _read_saved(folder)
+    rows = _read_rows(folder / EPISODES_FILE)
+    actions = _read_actions(folder / ACTIONS_FILE, rows)
     if not head["n"] == len(rows) == len(actions) > 0:
         counts = f"{METRICS_FILE} {head['n']}, {EPISODES_FILE} {len(rows)}, {ACTIONS_FILE} {len(actions)}"
         raise ReadError(f"the files in {folder} disagree on the episodes: {counts}; {REMEDY}")
@@ -268,12 +270,6 @@ def _plain(summary: Summary) -> dict[str, dict[str, Any]]:
 
 
 # -- the three files --------------------------------------------------------------------------------------------------
-
-
-def _read_saved(folder: Path) -> tuple[list[Row], list[np.ndarray]]:
-    """Return the rows and actions of a folder, whose numbers differ if its last save ended between two files."""
-    rows = _read_rows(folder / EPISODES_FILE)
-    return rows, _read_actions(folder / ACTIONS_FILE, rows)
 
 
 def _read_head(path: Path) -> dict[str, Any]:
