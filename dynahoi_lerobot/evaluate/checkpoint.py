@@ -214,7 +214,7 @@ def _findings(folder: Path) -> Iterator[str]:
         if file.suffix.lower() in PICKLES:
             yield f"{file} is a pickle, which runs code when it is opened"
         elif file.suffix == ".json":
-            held = {key for key, value in _entries(read_json(file)) if value not in (None, False)}
+            held = {key for key, value in _entries(read_json(file)) if key == "auto_map" or value}
             yield from (f"{file} {problem}" for key, problem in CODE_KEYS.items() if key in held)
     if (kind := str(read_object(folder / CONFIG).get("type"))) not in POLICY_TYPES:
         yield f"{folder / CONFIG} is of type {kind!r}, which is not on the list of policies known to be safe"
