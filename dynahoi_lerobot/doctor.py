@@ -22,6 +22,7 @@ from packaging.requirements import Requirement
 from dynahoi_lerobot.core.arguments import option
 from dynahoi_lerobot.core.conventions import EGO_VIEW, HAND_DOF, PALM_DOF
 from dynahoi_lerobot.core.files import check_output
+from dynahoi_lerobot.core.numerics import TOLERANCE
 from dynahoi_lerobot.core.registry import GROUP, import_plugin
 from dynahoi_lerobot.dataset.video import CODECS
 from dynahoi_lerobot.experts import EXPERTS
@@ -225,9 +226,6 @@ EPISODES = 44
 """Every kind of motion twice."""
 STRIDE = 10
 """Frames between the stored poses, from which differences are measured."""
-TOLERANCE = 1e-5
-"""Greatest difference [m, rad] with which `dynahoi evaluate --replay` confirms results of another machine."""
-
 
 Reference = dict[str, np.ndarray]
 """The expert's first ``n`` episodes of ``test``, as some machine played them.

@@ -37,8 +37,7 @@ OSError for a failure.
 """
 
 FAILED, BAD_INPUT, STOPPED = 1, 2, 130
-EXTRAS = {"datatrove": "scale", "ray": "scale", "openai": "vlm", "pydantic": "vlm"}
-EXTRAS["aiohttp"] = "play"
+EXTRAS = {"datatrove": "scale", "ray": "scale", "openai": "vlm", "pydantic": "vlm", "aiohttp": "play"}
 EXTRAS |= dict.fromkeys(("lerobot", "torch", "huggingface_hub", "httpx"), "lerobot")
 """Extra that installs a package."""
 LONGEST = 800
@@ -88,24 +87,20 @@ def exit_code(spoken: str, run: Callable[[], int]) -> int:
     """Return the exit code of ``run``, or print in one sentence, after what was ``spoken``, what stopped it."""
     out, err = (cast("TextIO", Terminal(stream)) for stream in (sys.stdout, sys.stderr))
     with redirect_stdout(out), redirect_stderr(err):
-        return _exit_code(spoken, run)
-
-
-def _exit_code(spoken: str, run: Callable[[], int]) -> int:
-    try:
-        return run()
-    except ModuleNotFoundError as error:
-        extra = EXTRAS.get((error.name or "").partition(".")[0])
-        remedy = f"which the extra `{extra}` installs" if extra else "which is not installed"
-        sentence, code = f"it needs {error.name}, {remedy}", BAD_INPUT
-    except (ValueError, FileExistsError, FileNotFoundError) as error:
-        sentence, code = _sentence(error), BAD_INPUT
-    except (OSError, CommandError) as error:
-        sentence, code = _sentence(error), FAILED
-    except KeyboardInterrupt:
-        sentence, code = "interrupted; run the same command to resume", STOPPED
-    print(f"{spoken}: {sentence}", file=sys.stderr)
-    return code
+        try:
+            return run()
+        except ModuleNotFoundError as error:
+            extra = EXTRAS.get((error.name or "").partition(".")[0])
+            remedy = f"which the extra `{extra}` installs" if extra else "which is not installed"
+            sentence, code = f"it needs {error.name}, {remedy}", BAD_INPUT
+        except (ValueError, FileExistsError, FileNotFoundError) as error:
+            sentence, code = _sentence(error), BAD_INPUT
+        except (OSError, CommandError) as error:
+            sentence, code = _sentence(error), FAILED
+        except KeyboardInterrupt:
+            sentence, code = "interrupted; run the same command to resume", STOPPED
+        print(f"{spoken}: {sentence}", file=sys.stderr)
+        return code
 
 
 def _sentence(error: Exception) -> str:

@@ -1,6 +1,5 @@
 """``dynahoi view --sample``: a few episodes of every kind of motion on one page, with what they hold frame by frame."""
 
-import base64
 import io
 import json
 import shlex
@@ -15,6 +14,7 @@ from PIL import Image
 
 from dynahoi_lerobot.core.control_mode import CONTROL_MODES, GRASP
 from dynahoi_lerobot.core.conventions import PALM_DOF
+from dynahoi_lerobot.core.escaping import data_url
 from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.core.rules import is_acting
 from dynahoi_lerobot.dataset.store import frame_column
@@ -115,4 +115,4 @@ def _sheet(images: np.ndarray) -> str:
     for i, image in enumerate(images):
         sheet.paste(Image.fromarray(image), (i % SHEET_COLUMNS * width, i // SHEET_COLUMNS * height))
     sheet.save(buffer := io.BytesIO(), "JPEG", quality=JPEG_QUALITY)
-    return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()
+    return data_url("image/jpeg", buffer.getvalue())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -23,6 +23,7 @@ WIDTH_PX, STRIP_PX, LEGEND_PX = 480, 48, 20
 NEAREST_M = 0.02
 """What is nearer to the camera, or behind it, is not drawn."""
 SIGHTED, EXPECTED, MEETING, BACK = (255, 214, 10), (64, 200, 255), (255, 70, 160), (30, 30, 34)
+Pixel = Callable[[np.ndarray], tuple[int, int] | None]
 TIMES_S = (0.5, 1.0, 2.4)
 """Times ahead that are written beside the forecast [s]."""
 
@@ -65,41 +66,40 @@ def drawn(episode: Episode, thoughts: Sequence[Any], batch: WorldBatch, view: st
     for k, image in enumerate(images):
         page = cv2.resize(image, (WIDTH_PX, WIDTH_PX), interpolation=cv2.INTER_NEAREST)
         thought = thoughts[min(k, len(thoughts) - 1)]
-        _draw_places(page, thought, _Camera(batch, view, episode.state[k, :PALM_DOF]))
+        _draw_places(page, thought, _camera(batch, view, episode.state[k, :PALM_DOF]))
         pages.append(np.vstack([page, _strip(thought, len(images)), _legend()]))
     return np.stack(pages)
 
 
-class _Camera:
-    """Projects places [m], home frame, to pixels of the enlarged image."""
+def _camera(batch: WorldBatch, view: str, palm: np.ndarray) -> Pixel:
+    """Return what projects a place [m], home frame, to column and row; None if it is not in front of the camera."""
+    model, (camera, _) = batch.scene.model, VIEWS[view]
+    pose = camera_pose(model, camera)
+    axes = quat_to_matrix(pose[3:])  # columns: right, up, backwards
+    origin = pose[:3] + (palm if camera == EGO_VIEW else 0.0)  # which the palm carries
+    focal, _, centre, _ = intrinsics(model, camera, WIDTH_PX)
 
-    def __init__(self, batch: WorldBatch, view: str, palm: np.ndarray) -> None:
-        model, (camera, _) = batch.scene.model, VIEWS[view]
-        pose = camera_pose(model, camera)
-        self._axes = quat_to_matrix(pose[3:])  # columns: right, up, backwards
-        self._origin = pose[:3] + (palm if camera == EGO_VIEW else 0.0)  # which the palm carries
-        self._focal, _, self._centre, _ = intrinsics(model, camera, WIDTH_PX)
-
-    def pixel(self, place: np.ndarray) -> tuple[int, int] | None:
-        """Return column and row, None if it is not in front of the camera."""
-        right, up, back = self._axes.T @ (place - self._origin)
+    def pixel(place: np.ndarray) -> tuple[int, int] | None:
+        right, up, back = axes.T @ (place - origin)
         if -back < NEAREST_M:
             return None
-        column, row = self._centre + self._focal * np.array([right, -up]) / -back
+        column, row = centre + focal * np.array([right, -up]) / -back
         return int(np.clip(column, -9999, 9999)), int(np.clip(row, -9999, 9999))
 
+    return pixel
 
-def _draw_places(page: np.ndarray, thought: Any, camera: _Camera) -> None:
+
+def _draw_places(page: np.ndarray, thought: Any, pixel: Pixel) -> None:
     forecast, ahead_s = thought.forecast[0].numpy(), thought.ahead_s.numpy()
     for place, seconds in reversed(list(zip(forecast, ahead_s, strict=True))):
-        if (at := camera.pixel(place)) is not None:
+        if (at := pixel(place)) is not None:
             cv2.circle(page, at, max(2, round(6 - 2 * seconds)), EXPECTED, -1, cv2.LINE_AA)
             if np.isclose(seconds, TIMES_S, atol=0.06).any():
                 _write(page, f"{seconds:.1f} s", (at[0] + 7, at[1] - 5), EXPECTED)
     for place in thought.sighted[0].numpy():
-        if (at := camera.pixel(place)) is not None:
+        if (at := pixel(place)) is not None:
             cv2.drawMarker(page, at, SIGHTED, cv2.MARKER_CROSS, 22, 2, cv2.LINE_AA)
-    if (at := camera.pixel(thought.meeting[0].numpy())) is not None:
+    if (at := pixel(thought.meeting[0].numpy())) is not None:
         cv2.circle(page, at, 13, MEETING, 2, cv2.LINE_AA)
 
 

@@ -3,7 +3,6 @@
 With ``--sample`` a page of several episodes of a dataset.
 """
 
-import base64
 import html
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -17,6 +16,7 @@ from dynahoi_lerobot.cli.thoughts import ThinkingAgent, drawn
 from dynahoi_lerobot.core.arguments import given_of, option, whole
 from dynahoi_lerobot.core.conventions import CONTROL_HZ, DEFAULT_IMAGE_SIZE_PX, SEED_LIMIT
 from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.escaping import data_url
 from dynahoi_lerobot.core.features import IMAGE_PREFIX
 from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.core.reading import reading
@@ -208,7 +208,7 @@ MIN_WIDTH_PX = 384
 PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>{caption}</title>
 <meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'">
 <style>body{{font:16px system-ui;background:#111;color:#ddd;text-align:center}}img{{image-rendering:pixelated}}</style>
-<p>{caption}</p><img alt="{caption}" src="data:image/gif;base64,{data}">"""
+<p>{caption}</p><img alt="{caption}" src="{address}">"""
 
 
 def write_clip(path: Path, clip: Clip) -> None:
@@ -221,8 +221,8 @@ def _gif(clip: Clip) -> bytes:
 
 
 def _write_html(path: Path, clip: Clip) -> None:
-    data = base64.b64encode(_gif(clip)).decode()
-    path.write_text(PAGE.format(caption=html.escape(clip.caption), data=data), encoding="utf-8")
+    address = data_url("image/gif", _gif(clip))
+    path.write_text(PAGE.format(caption=html.escape(clip.caption), address=address), encoding="utf-8")
 
 
 def _write_mp4(path: Path, clip: Clip) -> None:

@@ -1,5 +1,6 @@
 """What text must not do where it goes to: one function a place. Pages and drawings are escaped by Jinja and `html`."""
 
+import base64
 from typing import Any, TextIO
 
 
@@ -12,6 +13,11 @@ def markdown(text: str) -> str:
     """Return ``text`` as one that ends no code, cell, line or address, and begins no HTML or link in Markdown."""
     line = printable(" ".join(text.split()))
     return line.replace("`", "'").replace("<", "&lt;").replace("|", "\\|").replace("[", "\\[")
+
+
+def data_url(kind: str, content: bytes) -> str:
+    """Return content of a media type, such as ``image/gif``, as an address that holds it."""
+    return f"data:{kind};base64,{base64.b64encode(content).decode()}"
 
 
 class Terminal:

@@ -291,17 +291,9 @@ FEATURES = {feature.name: feature for feature in _TABLE}
 def image_feature(view: str, image_size: int) -> Feature:
     """Return the feature of a view's images: square RGB, height x width x channel, 0-255."""
     return Feature(
-        name="images",
-        key=IMAGE_PREFIX + view,
-        shape=(image_size, image_size, 3),
-        names=("height", "width", "channels"),
-        unit="1",
-        meaning=f"RGB image of view {view}",
-        dtype="uint8",
-        gym_key=f"{PIXELS}/{view}",
-        low=0,
-        high=255,
-    )
+        "images", IMAGE_PREFIX + view, (image_size, image_size, 3), ("height", "width", "channels"), "1",
+        f"RGB image of view {view}", dtype="uint8", gym_key=f"{PIXELS}/{view}", low=0, high=255,
+    )  # fmt: skip
 
 
 def action_feature(control_mode: str) -> Feature:

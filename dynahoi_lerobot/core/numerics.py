@@ -11,6 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+TOLERANCE = 1e-5
+"""Greatest difference of a number [its unit] of an episode that another processor plays; on one machine it is 0."""
+
 
 def quat_to_matrix(quat: np.ndarray) -> np.ndarray:
     """Return (..., 3, 3) rotation matrices of (..., 4) unit quaternions wxyz."""

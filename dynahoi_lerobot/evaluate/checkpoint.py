@@ -58,6 +58,11 @@ STATISTICS = {
 }
 """What a normaliser reads, by its mode."""
 
+CODE_KEYS = {
+    "auto_map": "has an auto_map, which names Python files to run",
+    "trust_remote_code": "sets trust_remote_code, which runs Python files of a repository",
+}
+"""Keys by which transformers is told, at any depth, to run Python files of a repository."""
 PICKLES = (".bin", ".pt", ".pth", ".pkl", ".ckpt")
 """Suffixes of files that Python unpickles, which runs what they hold; LeRobot's own checkpoints have none."""
 REMEDY = "give a pretrained_model folder, a Hub repository (user/name), or one of the experts"
@@ -209,7 +214,8 @@ def _findings(folder: Path) -> Iterator[str]:
         if file.suffix.lower() in PICKLES:
             yield f"{file} is a pickle, which runs code when it is opened"
         elif file.suffix == ".json":
-            yield from (f"{file} {problem}" for problem in _code_keys(read_json(file)))
+            held = {key for key, value in _entries(read_json(file)) if key == "auto_map" or value}
+            yield from (f"{file} {problem}" for key, problem in CODE_KEYS.items() if key in held)
     if (kind := str(read_object(folder / CONFIG).get("type"))) not in POLICY_TYPES:
         yield f"{folder / CONFIG} is of type {kind!r}, which is not on the list of policies known to be safe"
     _register_steps(kind)
@@ -218,16 +224,12 @@ def _findings(folder: Path) -> Iterator[str]:
             yield from (f"{file} {problem}" for problem in _pipeline_findings(file))
 
 
-def _code_keys(content: Any) -> Iterator[str]:
-    """Yield the keys by which transformers is told to run Python files of a repository, at any depth."""
-    if isinstance(content, dict):
-        if "auto_map" in content:
-            yield "has an auto_map, which names Python files to run"
-        if content.get("trust_remote_code"):
-            yield "sets trust_remote_code, which runs Python files of a repository"
+def _entries(content: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield every value of JSON at any depth, with the key that it is below."""
+    yield key, content
     if isinstance(content, dict | list):
-        for value in content.values() if isinstance(content, dict) else content:
-            yield from _code_keys(value)
+        for name, value in content.items() if isinstance(content, dict) else ((key, value) for value in content):
+            yield from _entries(value, name)
 
 
 def _register_steps(kind: str) -> None:
@@ -293,9 +295,9 @@ def _config(folder: Path, settings: Sequence[str]) -> Any:
     from lerobot.configs import PreTrainedConfig
 
     told = read_object(folder / CONFIG)
-    for key, value in _numbers(told):
+    for key, value in _entries(told):
         low, high = (1, LARGEST_SIZE) if key == "shape" else (-LARGEST_NUMBER, LARGEST_NUMBER)
-        if not low <= value <= high:
+        if isinstance(value, int | float) and not low <= value <= high:
             raise PolicyError(f"{folder / CONFIG} says {key} is {value}; it must be {low} to {high}")
     if (kind := told.get("type")) not in PreTrainedConfig.get_known_choices():
         package = PLUGINS.get(str(kind), f"lerobot_policy_{kind}")
@@ -318,15 +320,6 @@ def _config(folder: Path, settings: Sequence[str]) -> Any:
         return config.from_pretrained(str(folder), cli_overrides=[f"--{setting}" for setting in settings])
     except Exception as error:
         raise PolicyError(f"cannot set {', '.join(settings)}: {error.__cause__ or error}") from error
-
-
-def _numbers(content: Any, key: str = "") -> Iterator[tuple[str, float]]:
-    """Yield every number at any depth, with the key that it is below."""
-    if isinstance(content, dict | list):
-        for name, value in content.items() if isinstance(content, dict) else ((key, value) for value in content):
-            yield from _numbers(value, name)
-    elif isinstance(content, int | float):
-        yield key, content
 
 
 @contextmanager

@@ -22,15 +22,14 @@ from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.core.working_folder import working_folder
 from dynahoi_lerobot.evaluate import replay_results
 from dynahoi_lerobot.evaluate.arguments import TRAINED_FOR, TRUST, VLM, make_actor, playing_rules
-from dynahoi_lerobot.evaluate.results import WEIGHTS, Results, RunInfo, command_line, read_results
+from dynahoi_lerobot.evaluate.results import Results, RunInfo, read_results
 from dynahoi_lerobot.evaluate.table import kind_table, results_table
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.rollout.inference import INFERENCE_MODES, MAX_LATENCY_MS, SYNC, Inference, RealTimeAgent
 from dynahoi_lerobot.rollout.loop import evaluate
-from dynahoi_lerobot.sampling.fingerprint import surroundings
 from dynahoi_lerobot.sampling.recipe import PLAYING, Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
-from dynahoi_lerobot.sampling.splits import SMALL_TEST, split_seeds, stream_label
+from dynahoi_lerobot.sampling.splits import SMALL_TEST, split_seeds
 from dynahoi_lerobot.vlm.prompt import DEFAULT_PROMPT, PROMPTS
 from dynahoi_lerobot.world.batch import WorldBatch
 
@@ -111,20 +110,13 @@ def run(options: Options) -> int:
     recipe = Recipe(split=options.split, views=actor.views, **rules)
     if inference.mode != SYNC and recipe.control_mode != JOINTS:
         raise ValueError(f"--inference {inference.mode} needs control_mode {JOINTS!r}, got {recipe.control_mode!r}")
-    info = RunInfo(
+    info = RunInfo.begun(
         actor.name if options.policy == VLM else options.policy,
-        stream_label(options.split, recipe.salt),
-        recipe.capture,
-        command_line(),
-        recipe.fingerprint(),
-        {
-            "recipe": recipe.stored(),
-            "inference": inference.label,
-            "settings": options.set,
-            "privileged": actor.privileged,
-            "surroundings": surroundings(),
-            WEIGHTS: dict(actor.weights),
-        },
+        recipe,
+        actor.weights,
+        inference=inference.label,
+        settings=options.set,
+        privileged=actor.privileged,
     )
     with working_folder(options.out, info.task()) if options.out else nullcontext():
         results = Results.resumed(options.out, info) if options.out else Results(Path(), info)

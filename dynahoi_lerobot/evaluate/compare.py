@@ -8,7 +8,7 @@ import numpy as np
 
 from dynahoi_lerobot.core.conventions import PALM_DOF
 from dynahoi_lerobot.evaluate.results import Results
-from dynahoi_lerobot.evaluate.rows import IDENTITY
+from dynahoi_lerobot.evaluate.rows import identity
 from dynahoi_lerobot.evaluate.summary import RESAMPLES, SEED, Estimate, bootstrap
 from dynahoi_lerobot.metrics import METRICS, Metric
 from dynahoi_lerobot.sampling.splits import refuse_mixed_streams, refuse_to_mix
@@ -97,9 +97,8 @@ def command_distances_cm(a: Results, b: Results) -> np.ndarray:
 
 def _both_played(a: Results, b: Results) -> list[tuple[int, int]]:
     """Return the place in A and that in B of every episode that both have."""
-    places = {tuple(row[name] for name in IDENTITY): place for place, row in enumerate(b.rows)}
-    found = [places.get(tuple(row[name] for name in IDENTITY)) for row in a.rows]
-    return [(i, j) for i, j in enumerate(found) if j is not None]
+    places = {identity(row): place for place, row in enumerate(b.rows)}
+    return [(i, places[identity(row)]) for i, row in enumerate(a.rows) if identity(row) in places]
 
 
 def mcnemar(only_a: int, only_b: int) -> float:

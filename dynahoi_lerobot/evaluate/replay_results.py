@@ -19,6 +19,7 @@ import numpy as np
 from tqdm import tqdm
 
 from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.numerics import TOLERANCE
 from dynahoi_lerobot.core.reading import sha256
 from dynahoi_lerobot.evaluate.results import ACTIONS_FILE, EPISODES_FILE, METRICS_FILE, Results, read_results
 from dynahoi_lerobot.evaluate.rows import Row, episode_row
@@ -29,8 +30,6 @@ from dynahoi_lerobot.sampling.fingerprint import surroundings
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.splits import seal, split_of, split_seeds, stream_label
 
-TOLERANCE = 1e-5
-"""Greatest difference of a number, in its unit, for replays on another processor; on one machine they are equal."""
 PLAYED_TOGETHER = 32
 SHOWN = 10
 """Findings that are printed."""
@@ -148,7 +147,7 @@ def check_episodes(results: Results, recipe: Recipe, indices: Sequence[int]) -> 
 def _otherwise(results: Results) -> str:
     """Return what may have changed the fingerprint, as far as the results tell."""
     stored = results.info.extra.get("surroundings")
-    if not isinstance(stored, dict):
+    if stored is None:
         return "other code, library versions or kind of processor, or another recipe"
     differs = [
         f"{name} {stored.get(name)}, not {here}" for name, here in surroundings().items() if stored.get(name) != here

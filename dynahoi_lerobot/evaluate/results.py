@@ -4,7 +4,7 @@ import io
 import json
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -32,8 +32,9 @@ from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.rollout.inference import SYNC
 from dynahoi_lerobot.rollout.loop import ActionLog
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.sampling.fingerprint import surroundings
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.splits import without_salt
+from dynahoi_lerobot.sampling.splits import stream_label, without_salt
 
 METRICS_FILE = "metrics.json"
 EPISODES_FILE = "episodes.parquet"
@@ -88,6 +89,14 @@ class RunInfo:
     extra: dict[str, Any] = field(default_factory=dict)
     benchmark: str = BENCHMARK.version
 
+    @classmethod
+    def begun(cls, policy: str, recipe: Recipe, weights: Mapping[str, str] | None = None, **told: Any) -> Self:
+        """Return what this command line begins to play, of a recipe; ``told`` and ``weights`` are in ``extra``."""
+        extra = {"recipe": recipe.stored(), **told, "surroundings": surroundings()}
+        extra |= {} if weights is None else {WEIGHTS: dict(weights)}
+        split = stream_label(recipe.split, recipe.salt)
+        return cls(policy, split, recipe.capture, command_line(), recipe.fingerprint(), extra)
+
     def task(self) -> dict[str, Any]:
         """Return what must be equal for an evaluation to be resumed."""
         told = {name: self.extra.get(name) or "" for name in ("recipe", "inference", "settings", WEIGHTS)}
@@ -125,7 +134,8 @@ class Results:
         """
         if not all((folder / name).exists() for name in (EPISODES_FILE, ACTIONS_FILE)):
             return cls(folder, info)
-        rows, actions = _read_saved(folder)
+        rows = _read_rows(folder / EPISODES_FILE)
+        actions = _read_actions(folder / ACTIONS_FILE, rows)
         return cls(folder, info, tuple(rows[: len(actions)]), tuple(actions[: len(rows)]))
 
     def plus(self, episodes: Sequence[Episode]) -> Self:
@@ -146,8 +156,7 @@ class Results:
         how many of 255 levels the images were changed by at most, ``0`` if they were not; ``path_speed`` how many times
         as fast targets were on their paths, ``1`` unless they are twins.
         """
-        recipe = self.info.extra.get("recipe")
-        told = recipe if isinstance(recipe, dict) else {}
+        told = self.info.extra.get("recipe", {})
         return {
             "protocol": self.rows[0]["protocol"],
             "capture": self.info.capture,
@@ -238,7 +247,8 @@ def read_results(folder: Path) -> Results:
     if missing := [name for name in (METRICS_FILE, EPISODES_FILE, ACTIONS_FILE) if not (folder / name).exists()]:
         raise ReadError(f"{folder} holds no results: {missing[0]} is missing; {REMEDY}")
     head = _read_head(folder / METRICS_FILE)
-    rows, actions = _read_saved(folder)
+    rows = _read_rows(folder / EPISODES_FILE)
+    actions = _read_actions(folder / ACTIONS_FILE, rows)
     if not head["n"] == len(rows) == len(actions) > 0:
         counts = f"{METRICS_FILE} {head['n']}, {EPISODES_FILE} {len(rows)}, {ACTIONS_FILE} {len(actions)}"
         raise ReadError(f"the files in {folder} disagree on the episodes: {counts}; {REMEDY}")
@@ -260,12 +270,6 @@ def _plain(summary: Summary) -> dict[str, dict[str, Any]]:
 
 
 # -- the three files --------------------------------------------------------------------------------------------------
-
-
-def _read_saved(folder: Path) -> tuple[list[Row], list[np.ndarray]]:
-    """Return the rows and actions of a folder, whose numbers differ if its last save ended between two files."""
-    rows = _read_rows(folder / EPISODES_FILE)
-    return rows, _read_actions(folder / ACTIONS_FILE, rows)
 
 
 def _read_head(path: Path) -> dict[str, Any]:

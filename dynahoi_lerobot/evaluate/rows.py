@@ -3,6 +3,7 @@
 from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -94,8 +95,8 @@ COLUMNS = (
 """Arrow's type of every column; explicit, because a column may hold nothing but nulls. ``travel_u`` is in u (0.1 m),
 ``grasp_rad`` the mean rotation of a joint from the open hand to the reference grasp, ``first_localized`` a frame."""
 
-IDENTITY = ("split", "seed", "kind", "object", "length_frames")
-"""Columns that tell whether two rows are runs of the same episode."""
+identity = itemgetter("split", "seed", "kind", "object", "length_frames")
+"""What two rows have in common if they are runs of the same episode."""
 
 
 def episode_row(episode: Episode) -> Row:

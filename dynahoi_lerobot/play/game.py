@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import base64
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import EGO_VIEW
+from dynahoi_lerobot.core.escaping import data_url
 from dynahoi_lerobot.evaluate.gif import encode_gif, phases_of
 from dynahoi_lerobot.metrics import METRICS, measure
 from dynahoi_lerobot.rollout.loop import evaluate
@@ -102,4 +102,4 @@ def _clip(episode: Episode) -> str:
     """Return the hand's images of an episode as the ``data:`` address of a GIF."""
     frames: np.ndarray = episode.images[EGO_VIEW]
     gif = encode_gif(frames, phases=phases_of(episode), min_width=CLIP_PX)
-    return "data:image/gif;base64," + base64.b64encode(gif).decode()
+    return data_url("image/gif", gif)

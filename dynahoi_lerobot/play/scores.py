@@ -9,9 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dynahoi_lerobot.core.working_folder import working_folder
-from dynahoi_lerobot.evaluate.results import Results, RunInfo, command_line
-from dynahoi_lerobot.sampling.fingerprint import surroundings
-from dynahoi_lerobot.sampling.splits import stream_label
+from dynahoi_lerobot.evaluate.results import Results, RunInfo
 
 if TYPE_CHECKING:
     from dynahoi_lerobot.core.episode import Episode
@@ -45,8 +43,6 @@ def scores_of(player: str, recipe: Recipe, folder: Path | None) -> Iterator[Scor
         BlockingIOError: if another process works in the folder.
         FileExistsError: if it holds something else.
     """
-    extra = {"recipe": recipe.stored(), "inference": "", "surroundings": surroundings()}
-    split, command = stream_label(recipe.split, recipe.salt), command_line()
-    info = RunInfo(player, split, recipe.capture, command, recipe.fingerprint(), extra)
+    info = RunInfo.begun(player, recipe, inference="")
     with working_folder(folder, info.task()) if folder else nullcontext():
         yield Scores(Results.resumed(folder, info) if folder else Results(Path(), info), folder is not None)

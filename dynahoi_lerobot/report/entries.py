@@ -7,7 +7,7 @@ from pathlib import Path
 
 from dynahoi_lerobot.core.escaping import printable
 from dynahoi_lerobot.evaluate.results import Results, read_results
-from dynahoi_lerobot.evaluate.rows import IDENTITY, Row
+from dynahoi_lerobot.evaluate.rows import Row, identity
 from dynahoi_lerobot.sampling.splits import refuse_mixed_streams, refuse_to_mix
 
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c6bb1", "#999999")
@@ -85,5 +85,4 @@ def clip(text: str) -> str:
 
 def distinct_episodes(entries: Sequence[Entry]) -> list[Row]:
     """Return one row per distinct episode of all evaluations."""
-    rows = {tuple(row[name] for name in IDENTITY): row for entry in entries for row in entry.results.rows}
-    return list(rows.values())
+    return list({identity(row): row for entry in entries for row in entry.results.rows}.values())

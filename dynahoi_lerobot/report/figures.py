@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import inspect
 import io
 import re
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT, HAND_DOF, JOINT_NAMES, PALM_DOF
+from dynahoi_lerobot.core.escaping import data_url
 from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.evaluate.rows import STRATA, Row
 from dynahoi_lerobot.evaluate.summary import Estimate
@@ -85,7 +85,7 @@ class ReportFigure:
             metadata = dict.fromkeys(("Creator", "Date", "Format", "Type"))  # nothing that changes between runs
             drawing.savefig(buffer, format="svg", metadata=metadata)
         svg = re.sub("<svg[^>]*>", rf"\g<0>{INK_CSS}", buffer.getvalue().replace(INK, "var(--ink)"), count=1)
-        return "data:image/svg+xml;base64," + base64.b64encode(svg.encode()).decode()
+        return data_url("image/svg+xml", svg.encode())
 
 
 FIGURES: list[ReportFigure] = []
@@ -113,33 +113,25 @@ def subplots(rows: int, columns: int, height_in: float, **options: Any) -> tuple
     return drawing, list(drawing.subplots(rows, columns, squeeze=False, **options).ravel())
 
 
-def metric_panels(names: Sequence[str], row_height_in: float, **options: Any) -> tuple[Figure, list[Axes]]:
-    """Return a figure with a titled panel for each metric."""
+def metric_panels(entries: Sequence[Entry], row_height_in: float, **options: Any) -> tuple[Figure, dict[str, Axes]]:
+    """Return a figure with a titled panel for each of the main metrics, and the panels by metric."""
+    names = columns_for([entry.results for entry in entries])
     rows = -(-len(names) // PANELS_PER_ROW)
     drawing, axes = subplots(rows, min(PANELS_PER_ROW, len(names)), row_height_in * rows + 0.4, **options)
-    for panel, name in zip(axes, names, strict=False):
-        panel.set_title(heading(name))
     for unused in axes[len(names) :]:
         unused.remove()
-    return drawing, axes[: len(names)]
+    panels = dict(zip(names, axes, strict=False))
+    for name, panel in panels.items():
+        panel.set_title(heading(name))
+    return drawing, panels
 
 
-def legend(drawing: Figure, shown: Sequence[tuple[str, str]]) -> None:
+def legend(drawing: Figure, entries: Sequence[Entry]) -> None:
     """Put labels with their colours above the axes."""
     from matplotlib.patches import Patch
 
-    handles = [Patch(color=colour, label=label) for label, colour in shown]
-    drawing.legend(handles=handles, loc="outside upper left", ncols=min(len(shown), 4))
-
-
-def legend_items(entries: Sequence[Entry]) -> list[tuple[str, str]]:
-    """Return label and colour of each evaluation, for ``legend``."""
-    return [(entry.label, entry.colour) for entry in entries]
-
-
-def shown_metrics(entries: Sequence[Entry]) -> tuple[str, ...]:
-    """Return the main columns, led by S_hold if any evaluation uses the capture rule contact."""
-    return columns_for([entry.results for entry in entries])
+    handles = [Patch(color=entry.colour, label=entry.label) for entry in entries]
+    drawing.legend(handles=handles, loc="outside upper left", ncols=min(len(entries), 4))
 
 
 def error_bars(estimates: Sequence[Estimate | None]) -> tuple[np.ndarray, np.ndarray]:
@@ -162,10 +154,9 @@ def stratified(entries: Sequence[Entry], stratum: str) -> Figure | None:
     labels = STRATA[stratum].arrange({row[stratum] for entry in entries for row in entry.results.rows})
     if len(labels) < 2:
         return None
-    names = shown_metrics(entries)
-    drawing, axes = metric_panels(names, 2.0)
-    legend(drawing, legend_items(entries))
-    for panel, name in zip(axes, names, strict=True):
+    drawing, panels = metric_panels(entries, 2.0)
+    legend(drawing, entries)
+    for name, panel in panels.items():
         for place, entry in enumerate(entries):
             shift = 0.12 * (place - (len(entries) - 1) / 2) / max(1, len(entries) / 4)
             groups = entry.results.by(stratum)
@@ -185,14 +176,13 @@ def main_metrics(entries: Sequence[Entry]) -> Figure:
 
     An arrow in a title points towards better.
     """
-    names = shown_metrics(entries)
-    drawing, axes = metric_panels(names, 0.8 + 0.26 * len(entries), sharey=True)
-    for panel, name in zip(axes, names, strict=True):
+    drawing, panels = metric_panels(entries, 0.8 + 0.26 * len(entries), sharey=True)
+    labels, colours = [entry.label for entry in entries], [entry.colour for entry in entries]
+    for name, panel in panels.items():
         values, errors = error_bars([entry.results.summary[name] for entry in entries])
-        colours = [entry.colour for entry in entries]
-        panel.barh([entry.label for entry in entries], values, xerr=errors, color=colours, height=0.65, **BARS)
+        panel.barh(labels, values, xerr=errors, color=colours, height=0.65, **BARS)
         panel.grid(visible=False, axis="y")
-    axes[0].invert_yaxis()
+    next(iter(panels.values())).invert_yaxis()
     return drawing
 
 
@@ -304,18 +294,13 @@ def time_to_catch(entries: Sequence[Entry]) -> Figure:
     drawing, (panel,) = subplots(1, 1, 3.0)
     for entry in entries:
         rows = entry.results.rows
-        waits = [
-            (row["first_localized"] - row["window_frames"]) * CONTROL_DT
-            for row in rows
-            if row["first_localized"] is not None
-        ]
+        hits = [row for row in rows if row["first_localized"] is not None]
+        waits = [(row["first_localized"] - row["window_frames"]) * CONTROL_DT for row in hits]
         share = 100 * np.arange(len(waits) + 1) / len(rows)
         longest = max(row["length_frames"] for row in rows) * CONTROL_DT
         panel.step([0, *sorted(waits), longest], [*share, share[-1]], where="post", color=entry.colour)
-    panel.set_xlabel("time since the control start [s]")
-    panel.set_ylabel("localised [%]")
-    panel.set_ylim(0, 100)
-    legend(drawing, legend_items(entries))
+    panel.set(xlabel="time since the control start [s]", ylabel="localised [%]", ylim=(0, 100))
+    legend(drawing, entries)
     return drawing
 
 
@@ -335,7 +320,7 @@ def per_frame_grasp(entries: Sequence[Entry]) -> Figure:
     panel.set_xticks(range(3), [f"{setting}\n≥ {n} fingers" for setting, n in FINGERS_AT_LEAST.items()])
     panel.set_ylabel("frames [%]")
     panel.grid(visible=False, axis="x")
-    legend(drawing, legend_items(entries))
+    legend(drawing, entries)
     return drawing
 
 
@@ -357,21 +342,24 @@ def latency(entries: Sequence[Entry]) -> Figure | None:
 
     Drawn from evaluations under ``--inference async`` or ``rtc`` with a declared latency; 0 where the world waits.
     """
-    known = sorted(((ms, e) for e in entries if (ms := latency_ms(e)) is not None), key=lambda pair: pair[0])
-    if len({ms for ms, _ in known}) < 2:
+    known = {entry.label: ms for entry in entries if (ms := latency_ms(entry)) is not None}
+    if len(set(known.values())) < 2:
         return None
-    lines: dict[str, list[tuple[float, Entry]]] = {}
-    for ms, entry in known:
+    lines: dict[str, list[Entry]] = {}
+    for entry in sorted((entry for entry in entries if entry.label in known), key=lambda entry: known[entry.label]):
         info, control_class = entry.results.info, entry.results.rules["control_class"]
         rules = (short_name(info.policy), info.split, info.capture, control_class)
-        lines.setdefault(", ".join(rules), []).append((ms, entry))
-    names, colours = shown_metrics([entry for _, entry in known]), dict(zip(lines, cycle(COLOURS), strict=False))
-    drawing, axes = metric_panels(names, 2.0)
-    legend(drawing, [(clip(label), colour) for label, colour in colours.items()])
-    for panel, name in zip(axes, names, strict=True):
-        for label, line in lines.items():
-            estimates = [entry.results.summary[name] for _, entry in line]
-            points(panel, np.array([ms for ms, _ in line]), estimates, colours[label])
+        lines.setdefault(", ".join(rules), []).append(entry)
+    titles = [
+        Entry(line[0].results, clip(label), colour)
+        for (label, line), colour in zip(lines.items(), cycle(COLOURS), strict=False)
+    ]
+    drawing, panels = metric_panels([entry for line in lines.values() for entry in line], 2.0)
+    legend(drawing, titles)
+    for name, panel in panels.items():
+        for title, line in zip(titles, lines.values(), strict=True):
+            places = np.array([known[entry.label] for entry in line])
+            points(panel, places, [entry.results.summary[name] for entry in line], title.colour)
         panel.set_xlabel("latency of an inference [ms]")
     return drawing
 
@@ -447,7 +435,7 @@ def joint_deltas(entries: Sequence[Entry]) -> Figure:
         panel.set_title(name.replace("_", " "))
     for panel in axes[10:]:
         panel.set_xlabel("change [deg]")
-    legend(drawing, legend_items(entries))
+    legend(drawing, entries)
     return drawing
 
 
@@ -462,5 +450,5 @@ def palm_displacements(entries: Sequence[Entry]) -> Figure:
     for axis, panel in enumerate(axes):
         overlay(panel, [values[:, axis] for values in deltas], entries)
         panel.set_xlabel(f"change along {'xyz'[axis]} [mm]")
-    legend(drawing, legend_items(entries))
+    legend(drawing, entries)
     return drawing

@@ -1,6 +1,5 @@
 """``dynahoi report`` and ``render_report``: one self-contained HTML page from any number of result folders."""
 
-import base64
 from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -9,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from dynahoi_lerobot.core.arguments import argument, option
-from dynahoi_lerobot.core.escaping import printable
+from dynahoi_lerobot.core.escaping import data_url, printable
 from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.core.reading import ReadError, inside, read_bytes
 from dynahoi_lerobot.evaluate import table
@@ -174,5 +173,5 @@ def clips_of(folder: Path) -> tuple[list[tuple[str, str]], int]:
         with suppress(ReadError):  # a link could embed any file
             content = read_bytes(inside(folder, file.name), LARGEST_CLIP_BYTES)
             if content.startswith(GIF_HEADERS):
-                clips.append((printable(file.stem), "data:image/gif;base64," + base64.b64encode(content).decode()))
+                clips.append((printable(file.stem), data_url("image/gif", content)))
     return clips[:MOST_CLIPS], len(clips[MOST_CLIPS:])

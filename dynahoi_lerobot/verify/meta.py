@@ -17,10 +17,7 @@ from av.packet import Packet
 from av.video.stream import VideoStream
 
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.features import (
-    IMAGE_PREFIX,
-    episode_features,
-)
+from dynahoi_lerobot.core.features import IMAGE_PREFIX, episode_features
 from dynahoi_lerobot.core.reading import decoded, open_table, read_object, read_rows, read_table
 from dynahoi_lerobot.dataset.columns import LANGUAGE, described_features
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, row_stats

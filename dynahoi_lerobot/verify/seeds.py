@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.core.features import FEATURES
+from dynahoi_lerobot.core.numerics import TOLERANCE
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.rollout.recorder import Job, episode_constants, episode_meta
@@ -16,8 +17,6 @@ from dynahoi_lerobot.sampling.splits import REDRAW_STRIDE
 from dynahoi_lerobot.world.batch import WorldBatch
 
 AT_ONCE = 64
-TOLERANCE = 1e-5
-"""Greatest difference of a number [its unit], for another processor; on one machine they are equal."""
 PLAYED = ("first_plan",)
 """Constants of an episode that depend on who plays it."""
 

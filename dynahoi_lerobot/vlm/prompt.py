@@ -1,6 +1,5 @@
 """The prompts for a vision-language model (appendix "Details for Evaluating VLMs")."""
 
-import base64
 from string import Template
 from typing import Any
 
@@ -8,6 +7,7 @@ import cv2
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT, HAND_NAMES
+from dynahoi_lerobot.core.escaping import data_url
 
 HORIZON = 10
 """T, the number of frames of 0.05 s that one answer commands."""
@@ -93,4 +93,4 @@ def messages(
 def _data_url(image: np.ndarray) -> str:
     bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
     jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, 85])[1]  # the quality of the paper's logger
-    return "data:image/jpeg;base64," + base64.b64encode(jpeg).decode()
+    return data_url("image/jpeg", jpeg.tobytes())

@@ -10,11 +10,9 @@ from typing import Any
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import TRUTH
 from dynahoi_lerobot.env.vector_env import DynahoiVectorEnv
-from dynahoi_lerobot.evaluate.results import WEIGHTS, Results, RunInfo, command_line
+from dynahoi_lerobot.evaluate.results import Results, RunInfo
 from dynahoi_lerobot.evaluate.table import results_table
-from dynahoi_lerobot.sampling.fingerprint import surroundings
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.splits import stream_label
 from lerobot_env_dynahoi.command_line import policy_name, policy_weights
 
 
@@ -23,15 +21,8 @@ class ResultsLog:
 
     def __init__(self, folder: Path, recipe: Recipe, inference: str = "") -> None:
         """Write episodes of ``recipe``, played with the timing ``inference``, into ``folder`` whenever a task ends."""
-        extra = {
-            "recipe": recipe.stored(),
-            "inference": inference,
-            "privileged": recipe.environment_state == TRUTH,
-            "surroundings": surroundings(),
-            WEIGHTS: policy_weights(),
-        }
-        split, fingerprint = stream_label(recipe.split, recipe.salt), recipe.fingerprint()
-        info = RunInfo(policy_name(), split, recipe.capture, command_line(), fingerprint, extra)
+        privileged = recipe.environment_state == TRUTH
+        info = RunInfo.begun(policy_name(), recipe, policy_weights(), inference=inference, privileged=privileged)
         self._results, self._unwritten = Results(folder, info), False
 
     def __call__(self, episode: Episode) -> None:
