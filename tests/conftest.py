@@ -1,8 +1,12 @@
-"""What several core tests need and is expensive: built once per worker, and never changed by a test."""
+"""What several tests need and is expensive: made once, by the first worker that needs it, and changed by no test."""
 
+import fcntl
+import functools
 import os
-from collections.abc import Iterator
+import pickle
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -27,28 +31,70 @@ def menagerie(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
+Once = Callable[[str, Callable[[Path], Any]], Any]
+
+
 @pytest.fixture(scope="session")
-def specs() -> list[EpisodeSpec]:
+def once(tmp_path_factory: pytest.TempPathFactory) -> Once:
+    """Return what a function makes of a new folder; if a worker has made what has this name, return that."""
+    base = tmp_path_factory.getbasetemp()
+    shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+    def once(name: str, make: Callable[[Path], Any]) -> Any:
+        result = shared / f"{name}.pickle"
+        with (shared / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not result.exists():
+                result.write_bytes(pickle.dumps(make(shared / name)))
+        return pickle.loads(result.read_bytes())
+
+    return once
+
+
+@pytest.fixture(scope="session")
+def specs(once: Once) -> list[EpisodeSpec]:
     """The first 44 episodes of ``test``: every kind twice."""
-    return sample_specs(SMALL, range(44))
+    return once("specs", lambda _: sample_specs(SMALL, range(44)))
 
 
 @pytest.fixture(scope="session")
-def expert_episodes(specs: list[EpisodeSpec]) -> list[Episode]:
-    """The expert's evaluation on ``specs``, in their order, without images."""
-    episodes = evaluate(WorldBatch(SMALL, 22, threads=1), EXPERTS["intercept"](), specs)
+def in_class(specs: list[EpisodeSpec], once: Once) -> Callable[[str], list[Episode]]:
+    """The expert's evaluation on ``specs`` in a control class, in their order, without images."""
+
+    @functools.cache
+    def in_class(name: str) -> list[Episode]:
+        batch = WorldBatch(SMALL.changed(control_class=name), 22, threads=1)
+        return once(f"in class {name}", lambda _: by_seed(evaluate(batch, EXPERTS["intercept"](), specs)))
+
+    return in_class
+
+
+@pytest.fixture(scope="session")
+def expert_episodes(in_class: Callable[[str], list[Episode]]) -> list[Episode]:
+    return in_class("standard")
+
+
+@pytest.fixture(scope="session")
+def contact_episodes(once: Once) -> list[Episode]:
+    """The expert's evaluation on the first 22 episodes of ``test`` under contact, without images."""
+    recipe = SMALL.changed(capture="contact")
+    batch, expert = WorldBatch(recipe, 22, threads=1), EXPERTS["match"]()
+    return once("contact", lambda _: by_seed(evaluate(batch, expert, sample_specs(recipe, range(22)))))
+
+
+def by_seed(episodes: Iterator[Episode]) -> list[Episode]:
     return sorted(episodes, key=lambda episode: episode.meta.seed)
 
 
 @pytest.fixture(scope="session")
-def actor(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def actor(once: Once) -> Path:
     """The checkpoint of a tiny ObAct for images of 32 pixels, which has learned nothing."""
     from tests.checkpoints import tiny_obact  # which takes long to import
 
-    return tiny_obact(tmp_path_factory.mktemp("actor") / "checkpoint")
+    return once("actor", tiny_obact)
 
 
 @pytest.fixture(scope="session")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def dataset(once: Once) -> Path:
     """Six synthetic episodes with video on disk."""
-    return write(tmp_path_factory.mktemp("ours") / "dataset", range(6))
+    return once("dataset", lambda root: write(root, range(6)))

@@ -1,7 +1,6 @@
 """Robot hands from MuJoCo Menagerie stand where the bundled ones stand, and catch what they catch."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import mujoco
 import mujoco_menagerie
@@ -20,7 +19,6 @@ from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.scene import scene
 from dynahoi_lerobot.scene.scene import compile_scene
 from dynahoi_lerobot.world.batch import WorldBatch
-from tests.menagerie import gather_menagerie, shadow
 
 ROBOTS = {name: hand for name, hand in HANDS.items() if isinstance(hand, RobotHand)}
 every_robot = pytest.mark.parametrize("robot", ROBOTS)
@@ -170,15 +168,3 @@ def test_a_palm_or_tip_that_the_model_lacks_is_refused_by_name() -> None:
     ):
         with pytest.raises(ValueError, match=said):
             wrong.add_to(mujoco.MjSpec())
-
-
-def test_tests_take_each_real_model_where_there_is_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A folder with the Shadow Hand alone still tests the Sharpa Wave on its stand-in."""
-    (tmp_path / "real" / "shadow_hand").mkdir(parents=True)
-    (tmp_path / "real" / "shadow_hand" / "left_hand.xml").write_text(shadow())
-    (tmp_path / "gathered").mkdir()
-    monkeypatch.setenv("MENAGERIE_ROOT", str(tmp_path / "real"))
-    root = gather_menagerie(tmp_path / "gathered")
-    assert (root / "shadow_hand").readlink() == tmp_path / "real" / "shadow_hand"
-    assert not (root / "sharpa_wave").is_symlink()
-    assert (root / "sharpa_wave" / "left_hand.xml").is_file()

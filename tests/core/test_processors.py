@@ -33,7 +33,7 @@ from dynahoi_lerobot.world.batch import WorldBatch
 from tests.world.playing import digest
 
 test = Recipe(split="test", image_size=0)
-for recipe, count in ((test, 22), (test.changed(protocol="occluded"), 6), (test.changed(capture="contact"), 8)):
+for recipe, count in ((test, 22), (test.changed(protocol="occluded"), 4), (test.changed(capture="contact"), 4)):
     specs = sample_specs(recipe, range(count), threads=1)
     for episode in evaluate(WorldBatch(recipe, 11, threads=1), EXPERTS[recipe.expert](), specs):
         spec = specs[episode.meta.seed]
@@ -42,13 +42,13 @@ for recipe, count in ((test, 22), (test.changed(protocol="occluded"), 6), (test.
 """The expert's first episode of each kind, and some behind a screen and with contacts."""
 
 
-@pytest.mark.parametrize("name", PROCESSORS)
-def test_functions_do_not_depend_on_the_processor(name: str) -> None:
-    assert python("-c", FUNCTIONS, **PROCESSORS[name]) == python("-c", FUNCTIONS)
+def test_functions_do_not_depend_on_the_processor() -> None:
+    printed = {name: python("-c", FUNCTIONS, **environment) for name, environment in PROCESSORS.items()}
+    assert set(printed.values()) == {python("-c", FUNCTIONS)}, printed
 
 
 @pytest.mark.slow
 def test_episodes_do_not_depend_on_the_processor() -> None:
     reference = python("-c", EPISODES).splitlines()
-    assert len(reference) == 36
+    assert len(reference) == 30
     assert python("-c", EPISODES, **LEAST).splitlines() == reference

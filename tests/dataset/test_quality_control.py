@@ -22,7 +22,7 @@ STRAYING = {"perturbed_share": 1.0}
     [
         ("attach", {}, KINDS),
         ("attach", {"control_class": "late"}, 8),
-        ("attach_lenient", {}, KINDS),
+        ("attach_lenient", {}, 8),
         ("contact", {}, KINDS),
         ("attach", STRAYING, 8),
         ("contact", STRAYING, 8),

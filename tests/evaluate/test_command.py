@@ -36,6 +36,7 @@ def test_results_of_another_evaluation_stay_and_what_differs_is_named(tmp_path, 
     ):
         assert main([*HOLD, *words, "--out", str(tmp_path)]) == 2
         assert what in capsys.readouterr().err
+    assert main([*HOLD, "--out", str(tmp_path), "--per-kind"]) == 0, "it is finished"
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
@@ -90,10 +91,3 @@ def test_a_policy_that_samples_gives_the_same_rows_when_it_is_interrupted(tmp_pa
         sum(r["success"] for r in resumed.rows),
         2,
     )
-
-
-def test_a_finished_evaluation_is_left_as_it_is(tmp_path: Path):
-    assert main([*HOLD, "--out", str(tmp_path)]) == 0
-    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    assert main([*HOLD, "--out", str(tmp_path), "--per-kind"]) == 0
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before

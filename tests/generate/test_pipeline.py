@@ -44,11 +44,6 @@ def test_slots_follow_the_seed(reference):
     assert plan(episodes=10, seed=5).slots(3) == range(14, 15)
 
 
-def test_any_number_of_workers_gives_the_same_bytes(reference, tmp_path):
-    generate(plan(), tmp_path / "d", record=recorder.record, workers=2)
-    assert same(reference, tmp_path / "d")
-
-
 def test_any_shard_size_gives_the_same_tables_and_videos(reference, tmp_path):
     generate(plan(shard_episodes=4), tmp_path / "d", record=recorder.record)
     one, other = hash_files(reference), hash_files(tmp_path / "d")
@@ -78,7 +73,7 @@ def test_an_impossible_recipe_ends_with_a_sentence(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_dead_worker_is_replaced(tmp_path):
+def test_two_workers_of_which_one_dies_and_is_replaced_give_the_bytes_of_one(tmp_path):
     marker = plan(name=str(tmp_path / "marker"))
     generate(marker, tmp_path / "died", record=recorder.record_and_die_once, workers=2)
     assert (tmp_path / "marker").exists()

@@ -223,7 +223,7 @@ def test_a_card_that_is_there_stays(checkpoint: Path, hub: Hub, push: Push):
 
 def test_other_weights_replace_the_old_ones_and_their_results_only_if_that_is_asked(checkpoint, tmp_path, hub, push):
     push(checkpoint, "me/policy")
-    push(write_split(tmp_path / "results", "ood_speed", range(220)), "me/policy")
+    push(write_split(tmp_path / "results", "test_small", range(110)), "me/policy")
     commits = list(hub.repos[MODEL].commits)
     assert push(checkpoint, "me/policy", "--replace")[0] == 0
     assert list(hub.repos[MODEL].commits) == commits, "the same weights keep their results"
@@ -270,7 +270,7 @@ def names(hub: Hub) -> set[str]:
 
 
 def test_results_need_their_checkpoint_and_must_be_whole(checkpoint: Path, tmp_path: Path, hub: Hub, push: Push):
-    results = write_split(tmp_path / "results", "ood_speed", range(220))
+    results = write_split(tmp_path / "results", "test_small", range(110))
     refused(push(results, "me/policy"), "me/policy holds no checkpoint")
     assert hub.repos == {}
     push(checkpoint, "me/policy")
@@ -279,7 +279,7 @@ def test_results_need_their_checkpoint_and_must_be_whole(checkpoint: Path, tmp_p
     assert names(hub) == set()
 
 
-WHOLE = f"{BENCHMARK.version}_ood_speed_attach_standard"
+WHOLE = f"{BENCHMARK.version}_test_small_attach_standard"
 CONDITIONS: list[tuple[dict, str]] = [
     ({}, WHOLE),
     ({"protocol": "occluded"}, f"{WHOLE}_protocol_occluded"),
@@ -293,11 +293,11 @@ CONDITIONS: list[tuple[dict, str]] = [
 def test_results_under_other_rules_or_of_fewer_episodes_have_other_names(checkpoint, tmp_path, hub, push):
     push(checkpoint, "me/policy")
     for number, (options, _) in enumerate(CONDITIONS):
-        seeds, rest = options.get("seeds", range(220)), {k: v for k, v in options.items() if k != "seeds"}
-        code, _, err = push(write_split(tmp_path / str(number), "ood_speed", seeds, **rest), "me/policy")
+        seeds, rest = options.get("seeds", range(110)), {k: v for k, v in options.items() if k != "seeds"}
+        code, _, err = push(write_split(tmp_path / str(number), "test_small", seeds, **rest), "me/policy")
         assert code == 0, err
     assert names(hub) == {name for _, name in CONDITIONS}
-    push(write_split(tmp_path / "long", "ood_speed", range(2), extra={"settings": ["x" * 300]}), "me/policy")
+    push(write_split(tmp_path / "long", "test_small", range(2), extra={"settings": ["x" * 300]}), "me/policy")
     assert max(map(len, names(hub))) == 120
 
 
@@ -323,7 +323,7 @@ def test_results_go_to_the_repository_with_the_weights_that_they_name(checkpoint
 
 def test_the_card_lists_the_results_once(checkpoint: Path, tmp_path: Path, hub: Hub, push: Push):
     push(checkpoint, "me/policy")
-    results = write_split(tmp_path / "results", "ood_speed", range(220))
+    results = write_split(tmp_path / "results", "test_small", range(110))
     assert push(results, "me/policy")[0] == 0
     commits = list(hub.repos[MODEL].commits)
     assert push(results, "me/policy")[0] == 0
@@ -332,7 +332,7 @@ def test_the_card_lists_the_results_once(checkpoint: Path, tmp_path: Path, hub: 
     (model,) = yaml.safe_load(head)["model-index"]
     (entry,) = model["results"]
     assert body.startswith("\n> The results `") or body.startswith("> The results `")
-    assert entry["dataset"]["split"] == "ood_speed"
+    assert entry["dataset"]["split"] == "test_small"
     assert {metric["type"] for metric in entry["metrics"]} == {"S_loc", "S_joint"}
 
 

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT, EGO_VIEW
+from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.numerics import quat_to_matrix
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES
 from dynahoi_lerobot.core.spec import EpisodeSpec
@@ -90,11 +91,9 @@ def test_the_object_is_the_one_that_is_simulated(specs: list[EpisodeSpec]):
 
 
 @pytest.mark.parametrize("control", CONTROL_CLASSES.values(), ids=lambda control: control.name)
-def test_the_hand_does_what_the_expert_planned_first(specs: list[EpisodeSpec], control):
+def test_the_hand_does_what_the_expert_planned_first(in_class, control):
     """The palm leaves home at the planned speed, and has the target when the lead time is over."""
-    chosen = specs[:22]
-    batch = WorldBatch(Recipe(split="test", control_class=control.name), len(chosen))
-    for episode in evaluate(batch, EXPERTS["intercept"](), chosen):
+    for episode in in_class(control.name)[:22]:
         speed, lead_s = episode.first_plan
         start = episode.meta.window_frames
         assert speed <= min(control.palm_speed_m_s, 1.0) + 1e-6
@@ -119,9 +118,7 @@ def test_the_target_path_is_where_the_target_is_until_it_is_touched(capture: str
         assert np.abs(apart).max() < 1e-4, meta.motion
 
 
-def test_a_catch_by_contact_is_planned_where_the_palm_gets_to_the_target():
-    recipe = Recipe(split="test", capture="contact")
-    chosen = sample_specs(recipe, range(22))
-    for episode in evaluate(WorldBatch(recipe, len(chosen)), EXPERTS["match"](), chosen):
+def test_a_catch_by_contact_is_planned_where_the_palm_gets_to_the_target(contact_episodes: list[Episode]):
+    for episode in contact_episodes:
         planned = episode.meta.window_frames + round(float(episode.first_plan[1]) / CONTROL_DT)
         assert abs(episode.first_localized - planned) <= 2, episode.meta.motion

@@ -45,11 +45,7 @@ BAD_FILES: dict[str, tuple[str | bytes, str]] = {
     "an unknown name": ("motions: [latteral]\n", "latteral"),
     "a wrong type": ("image_size: large\n", "large"),
     "a text for a list": ("motions: lateral\n", "motions must be of type list[str], got 'lateral'"),
-    "null for a list": ("motions: null\n", "motions must be of type list[str], got None"),
     "null in a list": ("motions: [null]\n", "motions must be of type list[str], got [None]"),
-    "null for a number": ("image_size: null\n", "image_size must be of type int, got None"),
-    "a list for a text": ("expert: [x]\n", "expert must be of type str, got ['x']"),
-    "a text for a number": ("image_size: '64'\n", "image_size must be of type int, got '64'"),
     "a flag for a number": ("path_speed: true\n", "path_speed must be of type float, got True"),
     "deep lists": ("motions: " + "[" * 20_000, ""),
     "another encoding": (b"split: tr\xe4in", ""),
@@ -127,33 +123,24 @@ READING = ("cli", "env", "evaluate", "metrics", "pretrain", "report", "verify", 
 """Rooms that decide no byte of a dataset; of ``generate`` some modules do."""
 
 
-@pytest.fixture
-def copy(tmp_path) -> Path:
-    """A copy of the package's sources, to edit."""
-    return shutil.copytree(PACKAGE, tmp_path / "package", ignore=shutil.ignore_patterns("__pycache__"))
-
-
 def edit(path: Path) -> None:
     assert path.is_file()
     path.write_text(path.read_text() + "\n# edited\n")
 
 
-@pytest.mark.parametrize("room", [room for room in ROOMS if room not in (*READING, "generate", "hub", "doctor")])
-def test_an_edit_in_a_deciding_room_changes_the_fingerprint(copy, room):
-    before = hash_sources(copy)
-    assert before == hash_sources(PACKAGE)
-    sources = [*copy.glob(f"{room}.py"), *(copy / room).rglob("*.py")]
-    edit(max(path for path in sources if path.name != "__init__.py"))
-    assert hash_sources(copy) != before
-
-
-@pytest.mark.parametrize("room", [*READING, "generate/executors.py", "hub.py", "doctor.py"])
-def test_an_edit_elsewhere_leaves_the_fingerprint(copy, room):
-    before = hash_sources(copy)
-    place = copy / room
-    for path in place.rglob("*.py") if place.is_dir() else [place]:
-        edit(path)
-    assert hash_sources(copy) == before
+def test_an_edit_in_a_deciding_room_changes_the_fingerprint_and_one_elsewhere_does_not(tmp_path: Path):
+    copy = shutil.copytree(PACKAGE, tmp_path / "package", ignore=shutil.ignore_patterns("__pycache__"))
+    before = hash_sources(PACKAGE)
+    for place in (copy / room for room in (*READING, "generate/executors.py", "hub.py", "doctor.py")):
+        for path in place.rglob("*.py") if place.is_dir() else [place]:
+            edit(path)
+        assert hash_sources(copy) == before, place
+    for room in (room for room in ROOMS if room not in (*READING, "generate", "hub", "doctor")):
+        sources = [*copy.glob(f"{room}.py"), *(copy / room).rglob("*.py")]
+        edit(max(path for path in sources if path.name != "__init__.py"))
+        edited = hash_sources(copy)
+        assert edited != before, room
+        before = edited
 
 
 def test_deciding_sources_import_only_deciding_sources():

@@ -14,13 +14,13 @@ from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.tools import python
 
-EPISODES = 110
-WORLDS = 44
+EPISODES = 66
+WORLDS = 33
 
 
 @pytest.fixture(scope="module")
 def many_specs() -> list[EpisodeSpec]:
-    """Every kind five times, from ``test``."""
+    """Every kind three times, from ``test``."""
     return sample_specs(Recipe(split="test"), range(EPISODES))
 
 
@@ -42,11 +42,9 @@ def test_targets_lie_on_all_sides_of_the_home(many_specs: list[EpisodeSpec]):
         ("pursuit", "standard", 0.1, 80),
         ("pursuit", "late", 0.1, 60),
         ("constant_velocity", "late", 0.1, 75),
-        ("intercept", "standard", 100, 100),
-        ("intercept", "late", 99, 100),
     ],
 )
-def test_only_what_knows_the_path_catches_nearly_everything(name, control, least, most, many_specs):
+def test_who_does_not_know_the_path_is_far_from_catching_everything(name, control, least, most, many_specs):
     episodes = list(evaluate(WorldBatch(Recipe(control_class=control), WORLDS), EXPERTS[name](), many_specs))
     localized = [episode.first_localized is not None for episode in episodes]
     assert len(localized) == EPISODES

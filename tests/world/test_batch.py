@@ -16,7 +16,7 @@ from dynahoi_lerobot.rollout.loop import ActionLog, evaluate, replay
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
-from tests.world.playing import SMALL, digests, wait, world
+from tests.world.playing import SMALL, digest, digests, wait, world
 
 SHORTEST = 6
 
@@ -27,9 +27,9 @@ def every_kind(specs: list[EpisodeSpec]) -> list[EpisodeSpec]:
 
 
 @pytest.fixture(scope="module")
-def reference(every_kind: list[EpisodeSpec]) -> dict[int, str]:
-    """Without images: eight worlds, one thread, in order."""
-    return digests(every_kind, 8)
+def reference(expert_episodes: list[Episode]) -> dict[int, str]:
+    """Without images: 22 worlds, one thread, in order."""
+    return {episode.meta.seed: digest(episode) for episode in expert_episodes[:22]}
 
 
 @pytest.fixture(scope="module")
@@ -183,14 +183,19 @@ SEEING = Recipe(split="test", image_size=16, views=("side",))
 BLIND = replace(SEEING, protocol="observe_then_blind")
 
 
-def played(recipe: Recipe) -> list:
-    specs = sample_specs(recipe, range(6))
+def played(recipe: Recipe, count: int = 4) -> list[Episode]:
+    specs = sample_specs(recipe, range(count))
     episodes = evaluate(WorldBatch(recipe, 3), EXPERTS[recipe.expert](), specs, images=True)
     return sorted(episodes, key=lambda episode: episode.meta.seed)
 
 
-def test_the_cameras_see_the_window_and_nothing_after_it():
-    for seeing, blind in zip(played(SEEING), played(BLIND), strict=True):
+@pytest.fixture(scope="module")
+def seen() -> list[Episode]:
+    return played(SEEING)
+
+
+def test_the_cameras_see_the_window_and_nothing_after_it(seen: list[Episode]):
+    for seeing, blind in zip(seen, played(BLIND), strict=True):
         assert blind.success
         np.testing.assert_array_equal(blind.state, seeing.state)
         window = blind.meta.window_frames
@@ -200,8 +205,8 @@ def test_the_cameras_see_the_window_and_nothing_after_it():
             assert not blind.images[view][window:].any()
 
 
-def test_render_noise_changes_every_image_by_up_to_the_given_levels_and_nothing_else():
-    for clean, noisy in zip(played(SEEING), played(replace(SEEING, render_noise=2)), strict=True):
+def test_render_noise_changes_every_image_by_up_to_the_given_levels_and_nothing_else(seen: list[Episode]):
+    for clean, noisy in zip(seen, played(replace(SEEING, render_noise=2)), strict=True):
         np.testing.assert_array_equal(noisy.state, clean.state)
         for view in ("ego", "side"):
             change = noisy.images[view].astype(int) - clean.images[view]
@@ -210,7 +215,7 @@ def test_render_noise_changes_every_image_by_up_to_the_given_levels_and_nothing_
             assert abs(within.mean()) < 0.1
             assert (change != 0).any(axis=(1, 2, 3)).all()
             assert not np.array_equal(change[0], change[1])
-    (blind, *_) = played(replace(BLIND, render_noise=2))
+    (blind,) = played(replace(BLIND, render_noise=2), 1)
     assert not blind.images["ego"][blind.meta.window_frames :].any(), "black images stay black"
 
 
@@ -291,21 +296,18 @@ def test_commands_beyond_the_range_end_at_its_limit(hands: WorldBatch, side: flo
 
 
 @pytest.mark.parametrize("in_window", [True, False])
-@pytest.mark.parametrize("bad", [np.nan, -np.inf, (3, HAND_DOF), (4, HAND_DOF - 1), (4, HAND_DOF, 1)])
-def test_a_bad_command_moves_nothing(specs: list[EpisodeSpec], bad: float | tuple[int, ...], in_window: bool):
+def test_a_bad_command_moves_nothing(specs: list[EpisodeSpec], in_window: bool):
     """One that is not finite, or of a wrong shape; not a bit of the batch changes."""
     batch = world(specs[:4])
     if not in_window:
         wait(batch)
-    commands = np.zeros(bad) if isinstance(bad, tuple) else batch.executed.copy()
-    if not isinstance(bad, tuple):
-        commands[2, 7] = bad
-    state, frame, executed = batch._batch.state.copy(), batch.frame.copy(), batch.executed.copy()
-    with pytest.raises(ValueError, match="shape" if isinstance(bad, tuple) else f"world 2 must be finite, got {bad}"):
-        batch.step(commands)
-    np.testing.assert_array_equal(batch._batch.state, state)
-    np.testing.assert_array_equal(batch.frame, frame)
-    np.testing.assert_array_equal(batch.executed, executed)
+    before = [value.copy() for value in (batch._batch.state, batch.frame, batch.executed)]
+    infinite = [np.where(np.arange(72).reshape(4, 18) == 2 * 18 + 7, bad, batch.executed) for bad in (np.nan, -np.inf)]
+    for commands in (*infinite, *map(np.zeros, ((3, HAND_DOF), (4, HAND_DOF - 1), (4, HAND_DOF, 1)))):
+        with pytest.raises(ValueError, match="world 2 must be finite" if commands.shape == (4, HAND_DOF) else "shape"):
+            batch.step(commands)
+        for value, held in zip((batch._batch.state, batch.frame, batch.executed), before, strict=True):
+            np.testing.assert_array_equal(value, held)
 
 
 def test_in_the_window_commands_are_ignored_and_the_hand_holds_still(specs: list[EpisodeSpec]):
