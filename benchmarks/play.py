@@ -10,6 +10,7 @@ the world is in it. Chromium is Debian's package `chromium`.
 import argparse
 import asyncio
 import base64
+import io
 import json
 import os
 import shutil
@@ -22,8 +23,8 @@ from pathlib import Path
 from typing import Any
 
 import aiohttp
-import cv2
 import numpy as np
+from PIL import Image
 from support.options import benchmark_parser, write_numbers
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT, EGO_VIEW, PALM_DOF
@@ -41,7 +42,7 @@ from dynahoi_lerobot.world.sensors import camera_pose, intrinsics
 
 DEADBAND_M, CLOSED_RAD = 0.01, 0.1
 WIDTHS_PX = (390, 820, 1280)
-FILM_PX, FILM_SCALE, FILM_FPS, RESULT_FRAMES = (820, 760), 0.6, 8, 24
+FILM_PX, FILM_REDUCED, FILM_FPS, RESULT_FRAMES = (820, 760), 2, 8, 24
 FLAGS = [
     "--headless=new",
     "--no-sandbox",
@@ -98,8 +99,8 @@ class Tab:
         frames, held = [], 0
         while held < RESULT_FRAMES:
             told = await self.call("Page.captureScreenshot", format="png")
-            image = cv2.imdecode(np.frombuffer(base64.b64decode(told["data"]), np.uint8), cv2.IMREAD_COLOR_RGB)
-            frames.append(cv2.resize(image, None, fx=FILM_SCALE, fy=FILM_SCALE, interpolation=cv2.INTER_AREA))
+            with Image.open(io.BytesIO(base64.b64decode(told["data"]))) as image:
+                frames.append(np.asarray(image.convert("RGB").reduce(FILM_REDUCED)))
             held += playing.done()
             await asyncio.sleep(1 / FILM_FPS)
         write_gif(path, np.stack(frames), fps=FILM_FPS)
