@@ -16,6 +16,7 @@ import os
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Coroutine
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from itertools import product
@@ -42,7 +43,7 @@ from dynahoi_lerobot.world.sensors import camera_pose, intrinsics
 
 DEADBAND_M, CLOSED_RAD = 0.01, 0.1
 WIDTHS_PX = (390, 820, 1280)
-FILM_PX, FILM_REDUCED, FILM_FPS, RESULT_FRAMES = (820, 760), 2, 8, 24
+FILM_PX, FILM_FPS, RESULT_S = (820, 760), 10, 3.0
 FLAGS = [
     "--headless=new",
     "--no-sandbox",
@@ -61,6 +62,7 @@ class Tab:
 
     def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
         self._socket, self._number, self._answers = socket, 0, dict[int, asyncio.Future[Any]]()
+        self._filmed: list[tuple[float, bytes]] = []
         self._reader = asyncio.ensure_future(self._read())
 
     async def _read(self) -> None:
@@ -68,6 +70,11 @@ class Tab:
             answer = json.loads(message.data)
             if waiting := self._answers.pop(answer.get("id"), None):
                 waiting.set_result(answer)
+            elif answer.get("method") == "Page.screencastFrame":
+                told = answer["params"]
+                self._filmed.append((told["metadata"]["timestamp"], base64.b64decode(told["data"])))
+                acknowledged = {"method": "Page.screencastFrameAck", "params": {"sessionId": told["sessionId"]}}
+                await self._socket.send_str(json.dumps({"id": 0, **acknowledged}))
 
     async def call(self, method: str, **parameters: Any) -> Any:
         self._number += 1
@@ -94,16 +101,19 @@ class Tab:
             (folder / f"{name}_{width}_{scheme}.png").write_bytes(base64.b64decode(told["data"]))
         await self.call("Emulation.clearDeviceMetricsOverride")
 
-    async def film(self, path: Path, playing: asyncio.Future[None]) -> None:
-        """Film the page in a small window until the episode is over, then its result, as a GIF."""
-        frames, held = [], 0
-        while held < RESULT_FRAMES:
-            told = await self.call("Page.captureScreenshot", format="png")
-            with Image.open(io.BytesIO(base64.b64decode(told["data"]))) as image:
-                frames.append(np.asarray(image.convert("RGB").reduce(FILM_REDUCED)))
-            held += playing.done()
-            await asyncio.sleep(1 / FILM_FPS)
-        write_gif(path, np.stack(frames), fps=FILM_FPS)
+    async def film(self, path: Path, episode: Coroutine[Any, Any, None]) -> None:
+        """Film the page in a small window during an episode, and its result, as a GIF."""
+        width, height = FILM_PX
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+        await self.call("Emulation.setDeviceMetricsOverride", **size)
+        await self.call("Page.startScreencast", format="png", maxWidth=width // 2)
+        await episode
+        await asyncio.sleep(RESULT_S)
+        await self.call("Page.stopScreencast")
+        times_s = np.array([time_s for time_s, _ in self._filmed])
+        shown = np.searchsorted(times_s, np.arange(times_s[0], times_s[-1], 1 / FILM_FPS), side="right") - 1
+        frames = [np.asarray(Image.open(io.BytesIO(self._filmed[i][1])).convert("RGB")) for i in shown]
+        write_gif(path, np.stack([frame for frame in frames if frame.shape == frames[-1].shape]), fps=FILM_FPS)
 
 
 @asynccontextmanager
@@ -191,13 +201,9 @@ async def played(args: argparse.Namespace) -> dict[str, Any]:
             await tab.until("playing && frame")
             await tab.screenshots(args.screenshots, "playing")
         if args.film:
-            width, height = FILM_PX
-            size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
-            await tab.call("Emulation.setDeviceMetricsOverride", **size)
             await tab.value("[...document.querySelectorAll('#panel button')].at(0).click()")
             await tab.until("playing && frame")
-            episode = asyncio.ensure_future(follow_expert(tab, practice))
-            await tab.film(args.film, episode)
+            await tab.film(args.film, follow_expert(tab, practice))
     server.cancel()
     rates = {
         name: float(np.mean([measure(episode)[name] or 0 for episode in episodes])) for name in ("S_loc", "S_joint")
