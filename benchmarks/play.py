@@ -90,11 +90,14 @@ class Tab:
             while not await self.value(expression):
                 await asyncio.sleep(0.1)
 
+    async def _resize(self, width: int, height: int) -> None:
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
+        await self.call("Emulation.setDeviceMetricsOverride", **size)
+
     async def screenshots(self, folder: Path, name: str) -> None:
         """Take pictures of the whole page in all widths, light and dark."""
         for width, scheme in product(WIDTHS_PX, ("light", "dark")):
-            size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 600}
-            await self.call("Emulation.setDeviceMetricsOverride", **size)
+            await self._resize(width, 900)
             await self.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
             await asyncio.sleep(0.3)
             told = await self.call("Page.captureScreenshot", format="png", captureBeyondViewport=True)
@@ -103,10 +106,8 @@ class Tab:
 
     async def film(self, path: Path, episode: Coroutine[Any, Any, None]) -> None:
         """Film the page in a small window during an episode, and its result, as a GIF."""
-        width, height = FILM_PX
-        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
-        await self.call("Emulation.setDeviceMetricsOverride", **size)
-        await self.call("Page.startScreencast", format="png", maxWidth=width // 2)
+        await self._resize(*FILM_PX)
+        await self.call("Page.startScreencast", format="png", maxWidth=FILM_PX[0] // 2)
         await episode
         await asyncio.sleep(RESULT_S)
         await self.call("Page.stopScreencast")

@@ -60,8 +60,6 @@ class Gr00tHead(nn.Module):
         noise_seed: of the noise that `sample` starts from.
     """
 
-    generative = True
-
     def __init__(
         self,
         context: int,

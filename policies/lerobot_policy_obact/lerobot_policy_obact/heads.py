@@ -136,11 +136,6 @@ class ActionHead(nn.Module):
         self.base = nn.Linear(context, horizon * (self.action_dim + len(groups)))
         self.denoiser = denoiser(horizon * self.action_dim, context, width) if denoiser else None
 
-    @property
-    def generative(self) -> bool:
-        """Whether it samples."""
-        return self.denoiser is not None
-
     def load_pretrained(self) -> None:
         """Load published weights: here there are none."""
 

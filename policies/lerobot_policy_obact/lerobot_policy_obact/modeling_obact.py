@@ -386,14 +386,7 @@ class ObActPolicy(PreTrainedPolicy):
         self._note(images, state, now_s)
 
     @torch.no_grad()
-    def predict_action_chunk(
-        self,
-        batch: Batch,
-        inference_delay: int | None = None,
-        prev_chunk_left_over: Tensor | None = None,
-        execution_horizon: int | None = None,
-        **kwargs: Any,
-    ) -> Tensor:
+    def predict_action_chunk(self, batch: Batch, **kwargs: Any) -> Tensor:
         """Return a whole chunk, ``(B, H, A)``.
 
         The history counts seconds: a frame is as old as its ``timestamp`` says, or, if the batch has none, as the
@@ -401,10 +394,9 @@ class ObActPolicy(PreTrainedPolicy):
 
         Args:
             batch: preprocessed observation of one step.
-            inference_delay, prev_chunk_left_over, execution_horizon: of real-time chunking, unused. Consecutive chunks
-                follow from one history and need no guidance. The head's errors agree over a whole chunk, so guidance
-                towards the first actions of the previous chunk keeps its outdated forecast.
-            **kwargs: unused.
+            **kwargs: unused, such as the previous chunk that real-time chunking offers as guidance. Consecutive chunks
+                follow from one history and need none. The head's errors agree over a whole chunk, so guidance towards
+                the first actions of the previous chunk would keep its outdated forecast.
         """
         self.observe(batch)
         return self._chunk()
