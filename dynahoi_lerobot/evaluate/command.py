@@ -70,7 +70,8 @@ class Options:
     )
     batch_size: int = option(
         32,
-        "worlds simulated in parallel, without effect on results; 1 for policies with --inference-ms measured",
+        "worlds simulated in parallel, without effect on the results of baselines and ObAct; 1 for policies with "
+        "--inference-ms measured",
         whole(1, 4096),
     )
     gifs: int = option(0, "number of episodes to record as GIFs in --out", whole(0, 10**6))
