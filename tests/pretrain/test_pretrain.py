@@ -91,6 +91,8 @@ def test_a_setting_overrides_the_recipe(tmp_path: Path, capsys: pytest.CaptureFi
     words = ["pretrain", "--recipe", str(tiny_recipe(tmp_path)), "--set"]
     assert main([*words, f"images={BATCH}"]) == 0
     assert json.loads(capsys.readouterr().out)["images"] == BATCH
+    assert main([*words, "imagess=10"]) == 2
+    assert "unknown field of the recipe 'imagess' (did you mean 'images'?)" in capsys.readouterr().err
     for wrong in ("images", "images={"):
         assert main([*words, wrong]) == 2
         assert f"must be KEY=VALUE, the value as YAML, got {wrong!r}" in capsys.readouterr().err
