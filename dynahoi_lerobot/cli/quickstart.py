@@ -60,7 +60,7 @@ class Size:
     """How much is done: dataset episodes, training steps, evaluation episodes per kind, and how many of ``KINDS``."""
 
     episodes: int = 800
-    steps: int = 600
+    steps: int = 400
     per_kind: int = 2
     kinds: int = len(KINDS)
 
