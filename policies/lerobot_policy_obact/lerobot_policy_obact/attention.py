@@ -12,8 +12,7 @@ from torch import Tensor, nn
 AGE_STEP_S, N_AGES = 0.05, 128
 """A bias by age is learned at this many ages, this far apart, and interpolated between them."""
 KEY_DIM = 16
-MEMORY_FRAMES = 200
-"""So many frames are remembered, ten seconds."""
+MEMORY_FRAMES = 200  # so many frames are remembered, ten seconds
 
 
 class SpatialAttention(nn.Module):
@@ -52,34 +51,26 @@ def cell_rays(height: int, width: int, device: torch.device) -> Tensor:
 
 
 class Memory:
-    """What attention keeps of the frames before, so that frames may come a few at a time; without gradients."""
+    """What attention keeps of the frames before, so that frames may come a few at a time; without gradients.
+
+    If fewer rows of the batch come than before, the last ones are over.
+    """
 
     def __init__(self) -> None:
-        self._kept: dict[object, tuple[Tensor, int]] = {}
+        self._kept: dict[object, Tensor] = {}
 
-    def extended(self, owner: object, new: Tensor, dim: int) -> Tensor:
-        """Return what was kept for ``owner`` and, along ``dim``, what is new; that is kept for the next time.
-
-        Views of a buffer that doubles are handed out: to copy all that is kept for every frame would cost more than to
-        attend to it. If fewer rows of the batch come than before, the last ones are over.
-        """
-        buffer, n = self._kept.get(owner, (new, 0))
-        buffer = buffer[: len(new)] if dim else buffer
-        end = n + new.shape[dim]
-        if end > buffer.shape[dim]:
-            kept = buffer.narrow(dim, max(0, n - MEMORY_FRAMES), min(n, MEMORY_FRAMES))
-            filled, n = torch.cat([kept, new], dim), kept.shape[dim]
-            end = filled.shape[dim]
-            buffer = torch.cat([filled, torch.empty_like(filled)], dim)
-        elif n:
-            buffer.narrow(dim, n, end - n).copy_(new)
-        self._kept[owner] = buffer, end
-        start = max(0, n - MEMORY_FRAMES)
-        return buffer.narrow(dim, start, end - start)
+    def extended(self, owner: object, new: Tensor, dim: int = 1) -> Tensor:
+        """Return what is remembered for ``owner`` and, along ``dim``, what is new, which is remembered too."""
+        if owner in self._kept:
+            kept = self._kept[owner][: len(new)]
+            n = min(kept.shape[dim], MEMORY_FRAMES)
+            new = torch.cat([kept.narrow(dim, kept.shape[dim] - n, n), new], dim)
+        self._kept[owner] = new
+        return new
 
     def first(self, owner: object, new: Tensor) -> Tensor:
         """Return what was given for ``owner`` the first time."""
-        return self._kept.setdefault(owner, (new, 0))[0][: len(new)]
+        return self._kept.setdefault(owner, new)[: len(new)]
 
 
 class AgeBias(nn.Module):
@@ -112,7 +103,7 @@ class TemporalBlock(nn.Module):
     def forward(self, tokens: Tensor, age_s: Tensor, memory: Memory) -> Tensor:
         """Map tokens of T new frames ``(B, T, D)`` to tokens; their ages since all frames are ``(T, S)``."""
         q, k, v = rearrange(self.qkv(self.norm_1(tokens)), "b t (n h d) -> n b h t d", n=3, h=self.n_heads)
-        k, v = memory.extended((self, "k"), k, 2), memory.extended((self, "v"), v, 2)
+        k, v = memory.extended((self, "k"), k, dim=2), memory.extended((self, "v"), v, dim=2)
         mixed = nn.functional.scaled_dot_product_attention(q, k, v, attn_mask=self.bias(age_s).to(q.dtype))
         tokens = tokens + self.out(rearrange(mixed, "b h t d -> b t (h d)"))
         return tokens + self.mlp(self.norm_2(tokens))
@@ -145,7 +136,7 @@ class PositionReadout(nn.Module):
             rows: frames of the decisions, ``(B, Q)``, counted among the new ones.
             memory: of the frames before.
         """
-        keys, positions = memory.extended(self, self.key(tokens), 1), memory.extended((self, "positions"), positions, 1)
+        keys, positions = memory.extended(self, self.key(tokens)), memory.extended("positions", positions)
         chosen = repeat(rows, "b q -> b q d", d=tokens.shape[-1])
         queries = rearrange(self.query(tokens.gather(1, chosen)), "b q (j d) -> b q j d", j=self.n_points)
         bias = rearrange(self.bias(age_s), "j t s -> t j s").index_select(0, rows.flatten()).unflatten(0, rows.shape)

@@ -9,12 +9,11 @@ from lerobot.configs import FeatureType, NormalizationMode, PreTrainedConfig
 from lerobot.optim import AdamWConfig, CosineDecayWithWarmupSchedulerConfig
 from lerobot.policies.rtc import RTCConfig
 
+from .attention import MEMORY_FRAMES
 from .encoders import ENCODERS
 from .gr00t_head import Gr00tHead
 from .heads import ActionHead, DiffusionDenoiser, FlowDenoiser
 
-MAX_SAMPLING = 100
-"""Most steps, and most draws, of a head."""
 HEADS: dict[str, Callable[..., Any]] = {
     "diffusion": partial(ActionHead, DiffusionDenoiser),
     "flow": partial(ActionHead, FlowDenoiser),
@@ -23,8 +22,7 @@ HEADS: dict[str, Callable[..., Any]] = {
 }
 CONTACT = "contact"
 """The rule of capture under which targets must be gripped; under all others the palm has to come near enough."""
-WINDOW_FRAMES = 5
-"""Frames before the current one that LeRobot loads where a decision is to see all."""
+WINDOW_FRAMES = 5  # frames before the current one that LeRobot loads where a decision is to see all
 
 
 @dataclass(frozen=True)
@@ -110,22 +108,19 @@ class ObActConfig(PreTrainedConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("obs_stride", "horizon", "episodes_per_sample", "n_decisions", "dim", "n_heads", "width"):
+        for name in ("obs_stride", "horizon", "episodes_per_sample", "n_decisions"):
             self._require(getattr(self, name) >= 1, name, "1 or more")
-        weights = ("forecast_weight", "action_weight", "closed_loop_weight")
-        for name in ("relative_dims", "n_points", "n_layers", "noise_seed", *weights):
-            self._require(getattr(self, name) >= 0, name, "0 or more")
-        self._require(self.n_obs_frames is None or self.n_obs_frames >= 0, "n_obs_frames", "0 or more, or null for all")
+        reach = MEMORY_FRAMES // self.obs_stride
+        seen = self.n_obs_frames is None or 0 <= self.n_obs_frames <= reach
+        self._require(seen, "n_obs_frames", f"0 to {reach}, or null for all")
         self._require(1 <= self.n_action_steps <= self.horizon, "n_action_steps", f"1 to {self.horizon} (horizon)")
         self._require(self.dim % self.n_heads == 0, "dim", "a multiple of n_heads")
         self._require(self.encoder in ENCODERS, "encoder", f"one of {', '.join(ENCODERS)}")
         self._require(self.head in HEADS, "head", f"one of {', '.join(HEADS)}")
         self._require(0 <= self.ema_decay < 1, "ema_decay", "0 or more and below 1")
         for name in ("n_steps", "n_draws"):
-            if not 1 <= (value := self.head_options.get(name, 1)) <= MAX_SAMPLING:
-                raise ValueError(f"head_options.{name} is {value}, but must be 1 to {MAX_SAMPLING}.")
-        if not 0 <= (value := self.head_options.get("closing_quantile", 0.5)) < 1:
-            raise ValueError(f"head_options.closing_quantile is {value}, but must be 0 or more and below 1.")
+            if (value := self.head_options.get(name, 1)) < 1:
+                raise ValueError(f"head_options.{name} is {value}, but must be 1 or more.")
 
     def _require(self, valid: bool, name: str, allowed: str) -> None:
         if not valid:
@@ -147,22 +142,22 @@ class ObActConfig(PreTrainedConfig):
         return self.forecasts and self.rig.capture == CONTACT
 
     @property
+    def sees_motion(self) -> bool:
+        """Whether the encoder takes each image together with the one before."""
+        return ENCODERS[self.encoder].sees_motion
+
+    @property
     def lookback(self) -> list[int]:
         """Offsets of the frames that a window shows, oldest first [frames]."""
         n = WINDOW_FRAMES if self.n_obs_frames is None else self.n_obs_frames
         return [-i * self.obs_stride for i in range(n, -1, -1)]
 
     @property
-    def ages_s(self) -> list[float]:
-        """Ages of those frames [s]."""
-        return [-offset / self.rig.fps for offset in self.lookback]
-
-    @property
     def observation_delta_indices(self) -> list[int] | None:
         """Frames that LeRobot loads for every ``observation.*`` key; with a frozen encoder the current one alone."""
         if self.freeze_encoder:
             return None
-        pairs = (0, 1) if ENCODERS[self.encoder].sees_motion else (0,)
+        pairs = (0, 1) if self.sees_motion else (0,)
         return sorted({offset - pair for offset in self.lookback for pair in pairs})
 
     @property
@@ -176,31 +171,9 @@ class ObActConfig(PreTrainedConfig):
         return
 
     @property
-    def n_state(self) -> int:
-        """Numbers of the vector observations."""
-        features = self.input_features or {}
-        return sum(features[key].shape[0] for key in self.state_keys)
-
-    @property
-    def n_joints(self) -> int:
-        """Joints of the robot's state that the head reads."""
-        return self.robot_state_feature.shape[0] - self.relative_dims if self.grips and self.robot_state_feature else 0
-
-    @property
-    def n_actions(self) -> int:
-        """Numbers of an action."""
-        return self.action_feature.shape[0] if self.action_feature else 0
-
-    @property
     def cameras(self) -> list[str]:
         """Keys of the images."""
         return list(self.image_features)
-
-    def options_of(self, camera: str) -> dict[str, Any]:
-        """Return the ``encoder_options`` for an image key."""
-        view = camera.rsplit(".", maxsplit=1)[-1]
-        options = self.encoder_options.items()
-        return {name: x.replace("{view}", view) if isinstance(x, str) else x for name, x in options}
 
     @property
     def state_keys(self) -> list[str]:
@@ -224,7 +197,9 @@ class ObActConfig(PreTrainedConfig):
             raise ValueError(f"'action' must be a flat vector, but the outputs are {self.output_features}.")
         state = self.robot_state_feature
         sizes = min(state.shape[0] if state else 0, self.action_feature.shape[0])
-        self._require(self.relative_dims <= sizes, "relative_dims", f"0 to {sizes}, which state and action both have")
+        self._require(
+            0 <= self.relative_dims <= sizes, "relative_dims", f"0 to {sizes}, which state and action both have"
+        )
 
     def get_optimizer_preset(self) -> AdamWConfig:
         """Return AdamW as LeRobot builds it when no optimiser is given."""
