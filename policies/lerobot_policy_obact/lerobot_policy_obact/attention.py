@@ -1,8 +1,7 @@
 """The two attentions of ObAct: in space over the cells of an image, in time over the frames observed so far.
 
-Both carry positions among their values, so what they return is a place and not only a feature: `SpatialAttention`
-averages viewing rays, `PositionReadout` averages the positions sighted in earlier frames. `TemporalBlock` is an
-ordinary transformer block, causal, with a bias that depends on the age of a frame in seconds.
+Both have positions among their values: `SpatialAttention` averages viewing rays, `PositionReadout` averages the
+positions sighted in earlier frames. `TemporalBlock` is an ordinary causal transformer block with a bias by age.
 """
 
 import torch
@@ -27,11 +26,8 @@ class SpatialAttention(nn.Module):
         self.query, self.reach = nn.Linear(dim, 1), reach
 
     def forward(self, cells: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Attend to cells ``(F, h, w, D)``, rows downwards.
-
-        Returns:
-            The ray (u to the right, v upwards, the image spans -1 to 1), ``(F, 2)``; the features there, ``(F, D)``;
-            and the logarithm of the attention before it is cut to the peak, ``(F, h, w)``.
+        """Attend to cells ``(F, h, w, D)``, rows downwards. Return the ray (u to the right, v upwards, the image spans
+        -1 to 1), ``(F, 2)``; the features there, ``(F, D)``; and the log attention, not cut to the peak, ``(F, h, w)``.
         """
         h, w = cells.shape[1:3]
         rays, flat = cell_rays(h, w, cells.device), rearrange(cells, "f h w d -> f (h w) d")
@@ -61,12 +57,13 @@ class Memory:
 
     def extended(self, owner: object, new: Tensor, dim: int = 1) -> Tensor:
         """Return what is remembered for ``owner`` and, along ``dim``, what is new, which is remembered too."""
-        if owner in self._kept:
-            kept = self._kept[owner][: len(new)]
-            n = min(kept.shape[dim], MEMORY_FRAMES)
-            new = torch.cat([kept.narrow(dim, kept.shape[dim] - n, n), new], dim)
-        self._kept[owner] = new
-        return new
+        n_before = 0
+        if (kept := self._kept.get(owner)) is not None:
+            n_before = kept.shape[dim]
+            new = torch.cat([kept[: len(new)], new], dim)
+        start = max(0, n_before - MEMORY_FRAMES)
+        self._kept[owner] = remembered = new.narrow(dim, start, new.shape[dim] - start)
+        return remembered
 
     def first(self, owner: object, new: Tensor) -> Tensor:
         """Return what was given for ``owner`` the first time."""
@@ -110,10 +107,7 @@ class TemporalBlock(nn.Module):
 
 
 class PositionReadout(nn.Module):
-    """Attentions of a decision over the frames before it, whose values are the positions sighted in them.
-
-    There are ``n_points``; the first is the anchor from which the others count.
-    """
+    """Attentions of a decision over the frames before it, whose values are the positions sighted there."""
 
     def __init__(self, dim: int, n_points: int) -> None:
         super().__init__()
@@ -129,12 +123,8 @@ class PositionReadout(nn.Module):
     ) -> tuple[Tensor, Tensor]:
         """Return positions ``(B, Q, J, 3)`` [m], and the weights of the frames in them, ``(B, Q, J, S)``.
 
-        Args:
-            tokens: of T new frames, ``(B, T, D)``.
-            positions: sighted in them [m], ``(B, T, 3)``.
-            age_s: since all S frames, ``(T, S)`` [s], see `AgeBias`.
-            rows: frames of the decisions, ``(B, Q)``, counted among the new ones.
-            memory: of the frames before.
+        There are tokens ``(B, T, D)`` of T new frames, positions ``(B, T, 3)`` [m] sighted in them, and their ages
+        ``(T, S)`` [s] since all S frames; decisions are taken at the new frames ``rows``, ``(B, Q)``.
         """
         keys, positions = memory.extended(self, self.key(tokens)), memory.extended("positions", positions)
         chosen = repeat(rows, "b q -> b q d", d=tokens.shape[-1])

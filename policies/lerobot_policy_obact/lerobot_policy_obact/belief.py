@@ -72,12 +72,12 @@ class Frames(Record):
         wanted = self.time_s[rows][..., None] - ages_s  # (B, Q, W)
         middles = (self.time_s[1:] + self.time_s[:-1]) / 2
         index = torch.searchsorted(middles, wanted.contiguous(), right=True)
-        sightings, state = (taken(x, index).flatten(0, 1) for x in (self.sightings, self.state))
+        sightings, state = (gather_frames(x, index).flatten(0, 1) for x in (self.sightings, self.state))
         first, nearest_s = wanted[0, 0], self.time_s[index[0, 0]]
         return Frames(sightings, state, torch.where(first < self.time_s[0], first, nearest_s))
 
 
-def taken(table: Tensor, frame: Tensor) -> Tensor:
+def gather_frames(table: Tensor, frame: Tensor) -> Tensor:
     """Return what tables ``(B, T, ...)`` hold for frames ``(B, Q...)``, ``(B, Q..., ...)``."""
     rows = torch.arange(len(frame), device=frame.device)
     return table[rows.view(-1, *[1] * (frame.dim() - 1)), frame]
@@ -118,7 +118,8 @@ class Belief(nn.Module):
         dim, n_points, k = config.dim, config.n_points, len(FORECAST_FRAMES)
         known = [config.rig.calibration.get(key, UNCALIBRATED) for key in config.cameras]
         self.n_points = n_points
-        self._cameras = nn.ModuleList(Pinhole.from_pose(x[:7], x[7], carried=bool(x[8])) for x in known)
+        cameras = nn.ModuleList(Pinhole.from_pose(x[:7], x[7], carried=bool(x[8])) for x in known)
+        self.cameras = cast("list[Pinhole]", cameras)
         self.register_buffer("ahead_s", torch.tensor(FORECAST_FRAMES) / config.rig.fps, persistent=False)
         self.token = perceptron(3 + 6 * len(known) + n_extra, dim, dim)
         self.blocks = nn.ModuleList(TemporalBlock(dim, config.n_heads) for _ in range(config.n_layers))
@@ -132,11 +133,6 @@ class Belief(nn.Module):
         last = nn.Linear(256, 3 * k)
         nn.init.zeros_(last.weight)
         self.bend = nn.Sequential(perceptron(dim + 3 * n_points, 256, 256), nn.SiLU(), last)
-
-    @property
-    def cameras(self) -> list[Pinhole]:
-        """The cameras."""
-        return cast("list[Pinhole]", list(self._cameras))
 
     def forward(self, frames: Frames, rows: Tensor, memory: Memory | None = None) -> Outlook:
         """Return what decisions at frames ``rows`` ``(B, Q)`` believe.

@@ -110,9 +110,8 @@ class ObActConfig(PreTrainedConfig):
         super().__post_init__()
         for name in ("obs_stride", "horizon", "episodes_per_sample", "n_decisions"):
             self._require(getattr(self, name) >= 1, name, "1 or more")
-        reach = MEMORY_FRAMES // self.obs_stride
-        seen = self.n_obs_frames is None or 0 <= self.n_obs_frames <= reach
-        self._require(seen, "n_obs_frames", f"0 to {reach}, or null for all")
+        n, most = self.n_obs_frames, MEMORY_FRAMES // self.obs_stride
+        self._require(n is None or 0 <= n <= most, "n_obs_frames", f"0 to {most}, or null for all")
         self._require(1 <= self.n_action_steps <= self.horizon, "n_action_steps", f"1 to {self.horizon} (horizon)")
         self._require(self.dim % self.n_heads == 0, "dim", "a multiple of n_heads")
         self._require(self.encoder in ENCODERS, "encoder", f"one of {', '.join(ENCODERS)}")
@@ -121,6 +120,8 @@ class ObActConfig(PreTrainedConfig):
         for name in ("n_steps", "n_draws"):
             if (value := self.head_options.get(name, 1)) < 1:
                 raise ValueError(f"head_options.{name} is {value}, but must be 1 or more.")
+        if not 0 <= (value := self.head_options.get("closing_quantile", 0.5)) < 1:
+            raise ValueError(f"head_options.closing_quantile is {value}, but must be 0 or more and below 1.")
 
     def _require(self, valid: bool, name: str, allowed: str) -> None:
         if not valid:
@@ -168,7 +169,6 @@ class ObActConfig(PreTrainedConfig):
     @property
     def reward_delta_indices(self) -> None:
         """None: imitation learning uses no rewards."""
-        return
 
     @property
     def cameras(self) -> list[str]:

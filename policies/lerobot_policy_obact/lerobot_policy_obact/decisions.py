@@ -1,10 +1,9 @@
 """What is learned from: decisions in episodes, what should have been done, and the losses. Training only.
 
-A decision is compared with what its teacher says, who knows the future (`decision_losses`). But that cannot be imitated
-before the future can be known; and nothing in imitation tells a policy that a forecast which is wrong now will be less
-wrong in five frames. So from a frame on the palm alone is rolled out through the head, each command cut to what a palm
-does in a frame, and what counts is how near it comes to catching the target (`closed_loop_loss`). What is seen
-meanwhile stays what the hand saw that was there.
+A decision is compared with the answer of a teacher that knows the future (`decision_losses`). But nothing in imitation
+tells a policy that a forecast which is wrong now will be less wrong in five frames. So from a frame on the palm alone
+is rolled out through the head, each command cut to what a palm does in a frame, and what counts is how near it comes to
+catching the target (`closed_loop_loss`). What is seen meanwhile stays what the hand saw that was there.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from einops import rearrange, repeat
 from lerobot.utils.constants import ACTION
 from torch import Tensor
 
-from .belief import FORECAST_FRAMES, Frames, Outlook, Record, palm_of, stepped, taken
+from .belief import FORECAST_FRAMES, Frames, Outlook, Record, gather_frames, palm_of, stepped
 from .teacher import Targets, Teacher
 
 if TYPE_CHECKING:
@@ -55,13 +54,13 @@ class Episodes(Record):
 
     def palm(self, frame: Tensor) -> Tensor:
         """Return where the palm is in frames ``(B, Q)`` [m], ``(B, Q, 3)``."""
-        return palm_of(taken(self.state, frame.clamp_max(self.state.shape[1] - 1)))
+        return palm_of(gather_frames(self.state, frame.clamp_max(self.state.shape[1] - 1)))
 
-    def decision_rows(self, n: int, late: int) -> Tensor:
+    def decision_rows(self, n: int, delay: int) -> Tensor:
         """Draw frames at which decisions are taken, ``(B, n)``: mostly where the hand may move."""
-        last = self.count - 1 - late
+        last = self.count - 1 - delay
         if self.targets is not None:
-            last = torch.minimum(last, torch.minimum(self.targets.length - 3 - late, self.targets.free - 1))
+            last = torch.minimum(last, torch.minimum(self.targets.length - 3 - delay, self.targets.free - 1))
         last = last.clamp_min(EARLIEST_FRAME + 1)[:, None]
         start = torch.where(torch.rand(len(last), n) < EARLY_SHARE, EARLIEST_FRAME, self.window[:, None])
         start = torch.minimum(start, last - 1)
@@ -69,27 +68,27 @@ class Episodes(Record):
 
     def decisions(self, rows: Tensor, teacher: Teacher | None, config: ObActConfig) -> Decisions:
         """Return decisions at ``rows`` ``(B, Q)``: what was done there, or the teacher's answers for several palms."""
-        state, late = taken(self.state, rows)[:, :, None], config.rig.delay_frames
-        palm = self.palm(rows + late)
+        state, delay = gather_frames(self.state, rows)[:, :, None], config.rig.delay_frames
+        palm = self.palm(rows + delay)
         if self.targets is None or teacher is None:
             ahead, last = rows[..., None] + torch.arange(config.horizon), self.count[:, None, None] - 1  # (B, Q, H)
-            actions, weight = taken(self.actions, torch.minimum(ahead, last)), (ahead <= last).float()
+            actions, weight = gather_frames(self.actions, torch.minimum(ahead, last)), (ahead <= last).float()
             return Decisions(palm[:, :, None], state, actions[:, :, None], weight[:, :, None])
         targets = self.targets
-        due = torch.minimum(rows + late, targets.length[:, None] - 2)
+        due = torch.minimum(rows + delay, targets.length[:, None] - 2)
         palms = teacher.palms(targets, due, palm)
-        told = teacher.answer(targets, due, palms, config.horizon)
+        answers = teacher.answer(targets, due, palms, config.horizon)
         index = rows[..., None] + torch.tensor(FORECAST_FRAMES)
-        weight = torch.where(told.reachable, 1.0, UNREACHABLE_WEIGHT)
+        weight = torch.where(answers.reachable, 1.0, UNREACHABLE_WEIGHT)
         return Decisions(
             palm=palms,
             state=state.expand(-1, -1, palms.shape[2], -1),
-            actions=torch.cat([told.goal, teacher.joints(told.closing)], dim=-1),
+            actions=torch.cat([answers.goal, teacher.joints(answers.closing)], dim=-1),
             weight=repeat(weight, "b q m -> b q m h", h=config.horizon),
             future=Future(
                 place=targets.places(index, rows),
                 known=index < targets.length[:, None, None],
-                near=_nearness(told.frames + late, told.reachable),
+                near=_nearness(answers.frames + delay, answers.reachable),
             ),
         )
 
@@ -153,16 +152,16 @@ RIM, SOFTNESS, FAR_M, FAR_WEIGHT = 0.9, 0.27, 0.1, 0.3
 of the distance beyond, in this unit."""
 
 
-def rolled_rows(episodes: Episodes, late: int) -> Tensor:
+def rolled_rows(episodes: Episodes, delay: int) -> Tensor:
     """Draw the frames of the decisions through which palms are rolled out, ``(B, R)``."""
     targets = episodes.targets
     assert targets is not None
     known = torch.minimum(targets.length, episodes.count)
-    first = (episodes.window - late).clamp_min(EARLIEST_FRAME)
-    last = torch.minimum(known - 4, torch.minimum(targets.free, targets.held) - 1) - late
+    first = (episodes.window - delay).clamp_min(EARLIEST_FRAME)
+    last = torch.minimum(known - 4, torch.minimum(targets.free, targets.held) - 1) - delay
     anywhere = first + (torch.rand(len(first)) * (last - first).clamp_min(0)).long()
     start = torch.where(torch.rand(len(first)) < LATE_SHARE, anywhere, first)
-    start = torch.minimum(start, (known - 4 - late).clamp_min(EARLIEST_FRAME))
+    start = torch.minimum(start, (known - 4 - delay).clamp_min(EARLIEST_FRAME))
     return torch.minimum(start[:, None] + torch.arange(ROLLED_FRAMES), (known - 2)[:, None])
 
 
@@ -172,8 +171,8 @@ def closed_loop_loss(model: ObActModel, outlook: Outlook, episodes: Episodes, ro
     assert targets is not None
     due = rows[:, :1] + rig.delay_frames + torch.arange(rows.shape[1] + 1)  # (B, R + 1)
     known = (due[:, :-1] < torch.minimum(targets.length, episodes.count)[:, None] - 1).to(device)
-    path = taken(targets.path, torch.minimum(due, targets.length[:, None] - 1)).to(device)
-    palm, state = episodes.palm(due[:, :1])[:, 0].to(device), taken(episodes.state, rows[:, 0]).to(device)
+    path = gather_frames(targets.path, torch.minimum(due, targets.length[:, None] - 1)).to(device)
+    palm, state = episodes.palm(due[:, :1])[:, 0].to(device), gather_frames(episodes.state, rows[:, 0]).to(device)
     offsets = [palm - path[:, 0]]
     for r in range(rows.shape[1]):
         palm = stepped(palm, model.act_once(outlook[:, r], palm, state)[:, :3], rig.step_m)
@@ -192,11 +191,11 @@ def closed_loop_loss(model: ObActModel, outlook: Outlook, episodes: Episodes, ro
 def episode_losses(model: ObActModel, episodes: Episodes, teacher: Teacher | None) -> dict[str, Tensor]:
     """Return the losses of encoded episodes, ``(B,)`` each; without a teacher those of the recorded actions alone."""
     config, device = model.config, model.device
-    n, late = config.n_decisions, config.rig.delay_frames
-    rows = episodes.decision_rows(n, late)
+    n, delay = config.n_decisions, config.rig.delay_frames
+    rows = episodes.decision_rows(n, delay)
     decisions = episodes.decisions(rows, teacher, config)
     closes = teacher is not None and config.closed_loop_weight > 0
-    rolled = rolled_rows(episodes, late) if closes else rows[:, :0]
+    rolled = rolled_rows(episodes, delay) if closes else rows[:, :0]
     seen = torch.cat([rows, rolled], dim=1)
     outlook = model.encode_history(episodes.frames(seen, config.rig.fps).to(device), seen.to(device))
     losses = decision_losses(model, outlook[:, :n], decisions.to(device))

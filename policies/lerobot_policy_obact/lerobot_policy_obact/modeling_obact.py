@@ -297,19 +297,19 @@ class ObActPolicy(PreTrainedPolicy):
         return self.model if self.average is None else cast("ObActModel", self.average.module)
 
     @property
-    def _player(self) -> ObActModel:
+    def _actor(self) -> ObActModel:
         """The network that acts until the next reset, in double precision.
 
         The last digits of a network depend on the size of the batch, on threads and on the processor, and an edge that
         moves by a pixel makes them grow. Actions that are rounded to single precision do not depend on them.
         """
-        if not self._players:
-            self._players.append(deepcopy(self.acting).double() if self.config.exact else self.acting)
-        return self._players[0]
+        if not self._actors:
+            self._actors.append(deepcopy(self.acting).double() if self.config.exact else self.acting)
+        return self._actors[0]
 
     def reset(self) -> None:
         """Forget the last episode."""
-        self._players: list[ObActModel] = []  # in a list, or PyTorch would save it with the weights
+        self._actors: list[ObActModel] = []  # in a list, or PyTorch would save it with the weights
         self._memory, self._outlook = Memory(), None
         self._frames: deque[Frames] = deque(maxlen=2)
         self._frame = -1  # the number of the newest one
@@ -371,7 +371,7 @@ class ObActPolicy(PreTrainedPolicy):
 
     def _see(self, batch: Batch, time_s: float) -> None:
         """Encode the newest frame and keep it; it was seen at ``time_s`` if the batch does not say when."""
-        model, config = self._player, self.config
+        model, config = self._actor, self.config
         images = {key: batch[key].to(model.action_mean) for key in config.cameras}
         state = torch.cat([batch[key] for key in config.state_keys], dim=-1).to(model.action_mean)
         if self._frames and (n := len(self._frames[-1].state)) != len(state):
@@ -389,7 +389,7 @@ class ObActPolicy(PreTrainedPolicy):
     def _chunk(self) -> Tensor:
         """Return the chunk for the newest frame, ``(B, H, A)``."""
         assert self._outlook is not None
-        model, frame, outlook = self._player, self._frames[-1], self._outlook[:, 0]
+        model, frame, outlook = self._actor, self._frames[-1], self._outlook[:, 0]
         context, origin = model.condition(outlook, self._due(), frame.state[:, 0])
         eyes, rays = model.belief.sighted(frame)
         seen, sighted = frame.sightings[:, 0], (eyes + rays)[:, 0]
@@ -413,11 +413,11 @@ class ObActPolicy(PreTrainedPolicy):
         executed, *coming = self._sent
         if len(coming) < rig.delay_frames:
             return palm
-        told = (stepped(before, executed, rig.step_m) - before).norm(dim=-1)
-        heeds, due = (palm - before).norm(dim=-1) > 0.5 * told, palm
+        commanded_m = (stepped(before, executed, rig.step_m) - before).norm(dim=-1)
+        moves, due = (palm - before).norm(dim=-1) > 0.5 * commanded_m, palm
         for goal in coming:
             due = stepped(due, goal, rig.step_m)
-        return torch.where(heeds[:, None], due, palm)
+        return torch.where(moves[:, None], due, palm)
 
     # -- real-time chunking, adapters, checkpoints ----------------------------------------------------------------
 

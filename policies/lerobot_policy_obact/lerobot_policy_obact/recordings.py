@@ -1,10 +1,9 @@
 """A whole dataset as tables, to learn from; training only.
 
-LeRobot hands out frames with their images, which takes longer to read than to learn from. A frozen encoder says the
-same of an image whenever it is asked, so all images are encoded before training begins, kept in memory, and on disk for
-the next run with the same images and weights; a batch then only says which episodes there are. What a dataset of
-DynaHOI knows of its targets (the ``stats/`` columns of the episode table) is read at the same time and never becomes an
-observation.
+A frozen encoder says the same of an image whenever it is asked, so all images are encoded before training begins, kept
+in memory, and on disk for the next run with the same images and weights; a batch then only says which episodes there
+are. What a dataset of DynaHOI knows of its targets (the ``stats/`` columns of the episode table) is read at the same
+time and never becomes an observation.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """What a hand should do about a target whose path is known, wherever its palm is. Training only.
 
-A recorded episode shows one hand on its way to one target. What is believed about the target does not depend on where
-the palm is, so each decision is taken from several palms at once, and a teacher, a function of the state, answers for
-all of them: `Teacher` where the palm has to come near enough, `Grip` where the fingers must hold the target.
+What is believed about a target does not depend on where the palm is, so each decision is taken from several palms at
+once, and a teacher answers for all of them: `Teacher` where the palm has to come near enough, `Grip` where the fingers
+must hold the target.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import torch
 from einops import repeat
 from torch import Tensor
 
-from .belief import Record, taken
+from .belief import Record, gather_frames
 
 NEAREST_M, FARTHEST_M = 0.004, 0.15  # least and greatest standard deviation by which palms are moved, along each axis
 LONGEST_FRAMES = 100  # a teacher looks this far ahead for a meeting
@@ -50,7 +50,7 @@ class Targets(Record):
         """
         index = torch.minimum(frame, self.length[:, None, None] - 1)
         held = self.is_held(seen_from)[..., None, None]
-        return torch.where(held, taken(self.carried, index), taken(self.path, index))
+        return torch.where(held, gather_frames(self.carried, index), gather_frames(self.path, index))
 
 
 class Answers(NamedTuple):

@@ -1,10 +1,9 @@
 """Virtual episodes: other hands on the recorded targets' paths, with the sightings that they would have had.
 
-A recording shows the target from where one hand happened to be. A policy soon finds itself elsewhere, so most batches
-show hands that the policy itself leads, or the teacher, pushed off their way now and then. What the cameras would have
-seen from there follows from their calibration, but for their errors, which are large and last for many frames. Those
-are resampled from the recordings: each frame takes the error of a recorded frame in which the target stood at nearly
-the same place in the image. Training only.
+A policy soon finds itself elsewhere than the hand that was recorded, so most batches show hands that the policy itself
+leads, or the teacher, pushed off their way now and then. What the cameras would have seen from there follows from their
+calibration, but for their errors, which are large and last for many frames. Each frame takes the error of a recorded
+frame in which the target stood at nearly the same place in the image. Training only.
 """
 
 from __future__ import annotations
@@ -136,11 +135,11 @@ class _Hands:
         for goal, _ in self.coming:
             due = stepped(due, goal, rig.step_m)
         frame_due = (targets.length - 2).clamp_max(t + rig.delay_frames)[:, None]
-        told = teacher.answer(targets, frame_due, due[:, None, None], 1)
+        answers = teacher.answer(targets, frame_due, due[:, None, None], 1)
         outlook = self.model.encode_history(seen.to(device), memory=self.memory)
         action = self.model.act_once(outlook[:, 0], due.to(device), seen.state[:, -1].to(device)).cpu()
-        goal = torch.where(self.led[:, None], action[:, :3], told.goal[:, 0, 0, 0])
-        closed = torch.where(self.led, teacher.closed_share(action[:, 3:]), told.closing[:, 0, 0, 0]).clamp(0, 1)
+        goal = torch.where(self.led[:, None], action[:, :3], answers.goal[:, 0, 0, 0])
+        closed = torch.where(self.led, teacher.closed_share(action[:, 3:]), answers.closing[:, 0, 0, 0]).clamp(0, 1)
         change = (torch.rand(len(due)) < CHANGE_SHARE) | (window == t)
         self.offset = torch.where(change[:, None], torch.randn_like(due) * self.spread_m, self.offset)
         acting = window <= t

@@ -22,7 +22,7 @@ from lerobot.policies import make_pre_post_processors
 from lerobot.policies.rtc import RTCConfig
 from lerobot.rollout.inference.rtc import supports_rtc_inference
 from lerobot.scripts.lerobot_train import main
-from lerobot_policy_obact import ObActConfig, ObActPolicy, launch_policy_server
+from lerobot_policy_obact import ObActConfig, ObActPolicy, launch_policy_server, recordings
 from lerobot_policy_obact.configuration_obact import Rig
 from lerobot_policy_obact.decisions import Episodes, closed_loop_loss, decision_losses, rolled_rows
 from lerobot_policy_obact.encoders import SHIPPED
@@ -126,6 +126,13 @@ def test_it_trains_on_a_dataset_that_is_not_ours(head, options, push_root, tmp_p
     assert policy.config.rig.fps == FPS
     assert not policy.config.forecasts
     assert policy.select_action(step(policy)).isfinite().all()
+
+
+def test_images_in_tables_are_those_that_lerobot_reads(push_root):
+    dataset = LeRobotDataset("local/tiny", root=push_root)
+    first, second = recordings._images(dataset.meta, "observation.image", [N_FRAMES] * N_EPISODES)
+    assert first[3].equal(dataset[3]["observation.image"])
+    assert second[5].equal(dataset[N_FRAMES + 5]["observation.image"])
 
 
 def test_it_learns_from_recorded_episodes_with_the_target_s_path(hand_root, tmp_path, monkeypatch):
@@ -423,6 +430,17 @@ def test_frames_that_were_dropped_count_as_time_that_passed():
     policy.reset()
     by_the_clock = [policy.select_action(x | {"timestamp": x["timestamp"].double() + 1.7e9}) for x in seen]
     torch.testing.assert_close(torch.stack(by_the_clock), torch.stack(with_drops), atol=1e-4, rtol=0)
+
+
+def test_a_window_reaches_back_over_frames_that_were_dropped():
+    policy = varied(n_obs_frames=5)
+
+    def later(first: int) -> torch.Tensor:
+        policy.reset()
+        policy.select_action(step(policy, seed=first) | {"timestamp": torch.tensor([0.0])})
+        return policy.select_action(step(policy, seed=9) | {"timestamp": torch.tensor([0.35])})
+
+    assert not torch.equal(later(1), later(2))
 
 
 def test_frames_are_ticks_of_the_robots_clock_however_often_and_late_a_caller_asks(monkeypatch):
