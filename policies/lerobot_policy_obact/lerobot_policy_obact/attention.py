@@ -57,13 +57,12 @@ class Memory:
 
     def extended(self, owner: object, new: Tensor, dim: int = 1) -> Tensor:
         """Return what is remembered for ``owner`` and, along ``dim``, what is new, which is remembered too."""
-        n_before = 0
-        if (kept := self._kept.get(owner)) is not None:
-            n_before = kept.shape[dim]
-            new = torch.cat([kept[: len(new)], new], dim)
-        start = max(0, n_before - MEMORY_FRAMES)
-        self._kept[owner] = remembered = new.narrow(dim, start, new.shape[dim] - start)
-        return remembered
+        if owner in self._kept:
+            kept = self._kept[owner][: len(new)]
+            n = min(kept.shape[dim], MEMORY_FRAMES)
+            new = torch.cat([kept.narrow(dim, kept.shape[dim] - n, n), new], dim)
+        self._kept[owner] = new
+        return new
 
     def first(self, owner: object, new: Tensor) -> Tensor:
         """Return what was given for ``owner`` the first time."""
