@@ -186,7 +186,7 @@ def test_weights_that_do_not_fit_are_refused(damage: str, checkpoint: Path) -> N
     ("setting", "told"),
     [
         ({"fps": 20}, "fields `fps` are not valid"),
-        ({"head_options": {"n_steps": 0}}, "head_options.n_steps is 0, but must be 1 or more"),
+        ({"head_options": {"n_steps": 0}}, "head_options.n_steps is 0, but must be 1 to 100"),
     ],
 )
 def test_a_policy_that_fails_while_it_plays_is_one_sentence(setting, told, checkpoint, capsys):

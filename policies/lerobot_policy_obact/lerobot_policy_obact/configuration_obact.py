@@ -14,6 +14,7 @@ from .encoders import ENCODERS
 from .gr00t_head import Gr00tHead
 from .heads import ActionHead, DiffusionDenoiser, FlowDenoiser
 
+MAX_SAMPLING = 100  # most steps, and most draws, of a head
 HEADS: dict[str, Callable[..., Any]] = {
     "diffusion": partial(ActionHead, DiffusionDenoiser),
     "flow": partial(ActionHead, FlowDenoiser),
@@ -108,8 +109,11 @@ class ObActConfig(PreTrainedConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("obs_stride", "horizon", "episodes_per_sample", "n_decisions"):
+        for name in ("obs_stride", "horizon", "episodes_per_sample", "n_decisions", "dim", "n_heads", "width"):
             self._require(getattr(self, name) >= 1, name, "1 or more")
+        weights = ("forecast_weight", "action_weight", "closed_loop_weight")
+        for name in ("relative_dims", "n_points", "n_layers", "noise_seed", *weights):
+            self._require(getattr(self, name) >= 0, name, "0 or more")
         n, most = self.n_obs_frames, MEMORY_FRAMES // self.obs_stride
         self._require(n is None or 0 <= n <= most, "n_obs_frames", f"0 to {most}, or null for all")
         self._require(1 <= self.n_action_steps <= self.horizon, "n_action_steps", f"1 to {self.horizon} (horizon)")
@@ -118,8 +122,8 @@ class ObActConfig(PreTrainedConfig):
         self._require(self.head in HEADS, "head", f"one of {', '.join(HEADS)}")
         self._require(0 <= self.ema_decay < 1, "ema_decay", "0 or more and below 1")
         for name in ("n_steps", "n_draws"):
-            if (value := self.head_options.get(name, 1)) < 1:
-                raise ValueError(f"head_options.{name} is {value}, but must be 1 or more.")
+            if not 1 <= (value := self.head_options.get(name, 1)) <= MAX_SAMPLING:
+                raise ValueError(f"head_options.{name} is {value}, but must be 1 to {MAX_SAMPLING}.")
         if not 0 <= (value := self.head_options.get("closing_quantile", 0.5)) < 1:
             raise ValueError(f"head_options.closing_quantile is {value}, but must be 0 or more and below 1.")
 
@@ -197,9 +201,7 @@ class ObActConfig(PreTrainedConfig):
             raise ValueError(f"'action' must be a flat vector, but the outputs are {self.output_features}.")
         state = self.robot_state_feature
         sizes = min(state.shape[0] if state else 0, self.action_feature.shape[0])
-        self._require(
-            0 <= self.relative_dims <= sizes, "relative_dims", f"0 to {sizes}, which state and action both have"
-        )
+        self._require(self.relative_dims <= sizes, "relative_dims", f"0 to {sizes}, which state and action both have")
 
     def get_optimizer_preset(self) -> AdamWConfig:
         """Return AdamW as LeRobot builds it when no optimiser is given."""

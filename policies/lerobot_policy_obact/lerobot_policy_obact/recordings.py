@@ -25,7 +25,6 @@ import torch
 from lerobot.datasets import LeRobotDataset
 from lerobot.datasets.video_utils import decode_video_frames
 from lerobot.utils.constants import ACTION, HF_LEROBOT_HOME
-from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 from torch import Tensor
 from tqdm import tqdm
@@ -151,15 +150,16 @@ def _columns(folder: Path, order: str, names: Iterable[str]) -> dict[str, list[A
 def encoded_images(meta: Any, config: ObActConfig, model: ObActModel, lengths: list[int]) -> Tensor:
     """Return the sightings of all frames, ``(N, C, 5 + E)`` float32, of episodes of these ``lengths`` [frames].
 
-    With ``config.cache_images`` they come from the cache, or go there. A file of the cache that cannot be read or
-    written is reported, and costs no more than encoding again.
+    With ``config.cache_images`` they come from the cache, or go there. Whatever is wrong with a file of the cache, or
+    with its folder, is reported once and costs no more than encoding again.
     """
-    file = HF_LEROBOT_HOME / CACHE / f"{_fingerprint(meta, config, model)}.safetensors"
-    if config.cache_images and file.is_file():
+    file, told = HF_LEROBOT_HOME / CACHE / f"{_fingerprint(meta, config, model)}.safetensors", False
+    if config.cache_images and os.path.lexists(file):
         try:
-            return load_file(file)[SIGHTINGS]
-        except (OSError, SafetensorError) as error:
-            logging.warning("the images are encoded again, because %s cannot be read: %s", file, error)
+            return _cached(file, (sum(lengths), len(config.cameras)))
+        except Exception as error:  # of the file system, or of a reader of damaged files
+            logging.warning("the images are encoded again, because %s is of no use: %s", file, error)
+            told = True
     found = []
     with torch.no_grad(), torch.autocast(model.device.type, enabled=False):
         episodes = zip(*(_images(meta, key, lengths) for key in config.cameras), strict=True)
@@ -175,7 +175,20 @@ def encoded_images(meta: Any, config: ObActConfig, model: ObActModel, lengths: l
             part.write_bytes(save({SIGHTINGS: sightings}))
             part.replace(file)  # so that the file is there whole or not at all
         except OSError as error:
-            logging.warning("the encoded images are not kept for the next run: %s", error)
+            if not told:
+                logging.warning("the encoded images are not kept for the next run: %s", error)
+    return sightings
+
+
+def _cached(file: Path, size: tuple[int, int]) -> Tensor:
+    """Return the sightings in a file of the cache, of so many frames and cameras, ``(N, C, 5 + E)``."""
+    if not file.is_file():
+        raise ValueError("it is no file")
+    if file.stat().st_uid != os.getuid():
+        raise PermissionError("it belongs to another user")
+    sightings = load_file(file)[SIGHTINGS]
+    if sightings.dtype != torch.float32 or sightings.shape[:2] != size or not sightings.isfinite().all():
+        raise ValueError(f"it holds {sightings.dtype} {tuple(sightings.shape)}, not finite float32 of {size}")
     return sightings
 
 

@@ -548,7 +548,8 @@ def test_lerobot_s_policy_server_serves_it(tmp_path: Path):
         ({"n_obs_frames": -1}, "n_obs_frames is -1, but must be 0 to 200"),
         ({"relative_dims": 19}, "relative_dims is 19, but must be 0 to 18"),
         ({"n_action_steps": 9}, "n_action_steps is 9, but must be 1 to 4"),
-        ({"head_options": {"n_draws": 0}}, "head_options.n_draws is 0, but must be 1 or more"),
+        ({"head_options": {"n_steps": 10**6}}, "head_options.n_steps is 1000000, but must be 1 to 100"),
+        ({"head_options": {"n_draws": 0}}, "head_options.n_draws is 0, but must be 1 to 100"),
     ],
 )
 def test_a_wrong_option_is_named(change: dict, told: str):

@@ -11,6 +11,7 @@ from lerobot.datasets import LeRobotDataset
 from lerobot.datasets.video_utils import FrameTimestampError
 from lerobot_policy_obact import ObActConfig, recordings
 from lerobot_policy_obact.modeling_obact import ObActModel
+from safetensors.torch import save_file
 
 from tests.checkpoints import FEATURES
 
@@ -68,13 +69,42 @@ def test_it_is_read_again_in_full_precision_and_follows_the_umask(encode, tmp_pa
     assert len(encode.calls) == len(LENGTHS)
 
 
-def test_a_damaged_file_costs_one_warning(encode, tmp_path: Path, caplog):
-    first = encode()
-    file = cached(tmp_path)
+def spoil_type(file: Path) -> None:
+    save_file({"sightings": torch.zeros(7, 1, 69, dtype=torch.float16)}, file)
+
+
+def spoil_size(file: Path) -> None:
+    save_file({"sightings": torch.zeros(6, 1, 69)}, file)
+
+
+def truncate(file: Path) -> None:
     file.write_bytes(file.read_bytes()[:100])
+
+
+def replace_by_pipe(file: Path) -> None:
+    file.unlink()
+    os.mkfifo(file)
+
+
+def replace_by_folder(file: Path) -> None:
+    file.unlink()
+    file.mkdir()
+
+
+@pytest.mark.parametrize("spoil", [spoil_type, spoil_size, truncate, replace_by_pipe, replace_by_folder])
+def test_a_file_that_is_of_no_use_costs_one_warning(encode, tmp_path: Path, caplog, spoil: Callable[[Path], None]):
+    first = encode()
+    spoil(cached(tmp_path))
     assert encode().equal(first)
     assert len(caplog.records) == 1
     assert len(encode.calls) == 2 * len(LENGTHS)
+
+
+def test_a_file_of_another_user_is_not_believed(encode, monkeypatch: pytest.MonkeyPatch, caplog):
+    encode()
+    monkeypatch.setattr(os, "getuid", lambda: 12345)
+    encode()
+    assert "another user" in caplog.text
 
 
 def test_a_home_that_cannot_be_written_costs_one_warning(encode, tmp_path: Path, caplog):
