@@ -84,7 +84,7 @@ def main() -> None:
     parser.add_argument("--image-size", type=int, default=128)
     parser.add_argument("--rounds", type=int, default=2)
     parser.add_argument("--processes", type=int, default=os.cpu_count(), help="of either system on the CPU")
-    parser.add_argument("--plain-episodes", type=int, default=48, help="episodes of the plain loop")
+    parser.add_argument("--plain-episodes", type=int, default=24, help="episodes of the plain loop")
     parser.add_argument("--stage-episodes", type=int, default=96, help="episodes in which stages are measured")
     parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu")
     args = parser.parse_args()
@@ -104,7 +104,7 @@ def main() -> None:
 
 
 def compare(args: argparse.Namespace) -> list[dict[str, float]]:
-    """Measure all systems in turns and print a line for each round, then the ratios."""
+    """Measure all systems in turns, print a line for each, then the ratios."""
     rounds = []
     for _ in range(args.rounds):
         line = {}
@@ -112,9 +112,9 @@ def compare(args: argparse.Namespace) -> list[dict[str, float]]:
             system = ours if name == "ours" else partial(theirs, shadows=name == "plain_shadows")
             episodes = args.episodes if name == "ours" else args.plain_episodes
             result = measure_apart(system, episodes, args.image_size, args.processes)
+            print(name, *(f" {key} {value:.2f}" for key, value in result.items()), flush=True)
             line |= {f"{name}_{key}": value for key, value in result.items()}
         rounds.append(line)
-        print("  ".join(f"{key} {value:.2f}" for key, value in line.items()), flush=True)
     for name in SYSTEMS[1:]:
         ratio = statistics.median(line["ours_frames_s"] / line[f"{name}_frames_s"] for line in rounds)
         print(f"ours against {name}, median of {len(rounds)}: {ratio:.2f}")

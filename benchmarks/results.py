@@ -1,10 +1,11 @@
-"""Rebuild the table of learned policies in docs/results.md: generate, train and evaluate every row, and print it.
+"""Rebuild a table of learned policies in docs/results.md: generate, train and evaluate every row, and print it.
 
 python benchmarks/results.py [--rows benchmarks/results.yaml] [--only "ObAct" ...] [--root outputs/results]
-    [--split test] [--episodes N] [--workers 2] [--dry-run] [--json FILE] [--tiny]
+    [--split test] [--episodes N] [--workers 2] [--dry-run] [--json docs/figures/policies.json] [--tiny]
 
-The rows name the recipes and the options that they change. What is already in the root is not done again, so the same
-command resumes a run that was stopped. ``--json docs/figures/policies.json`` replaces the rows that were run there.
+The rows name the recipes and the options that they change; benchmarks/ablations.yaml holds the ablations. What is
+already in the root is not done again, so the same command resumes a run that was stopped. ``--json`` replaces the rows
+that were run in that file.
 """
 
 import json
@@ -23,6 +24,7 @@ import yaml
 from support.options import benchmark_parser, pinned_benchmark, provenance, write_numbers
 
 from dynahoi_lerobot.evaluate.checkpoint import folder_weights
+from dynahoi_lerobot.evaluate.compare import compare
 from dynahoi_lerobot.evaluate.results import WEIGHTS, read_results
 from dynahoi_lerobot.evaluate.table import MAIN_COLUMNS, metrics_table
 
@@ -52,6 +54,7 @@ class Row:
         train: options that change the recipe.
         evaluate: options of the evaluation.
         seeds: training seeds 0, 1, ..., so many.
+        against: name of an earlier row, from whose seed 0 the difference in S_loc is told, paired by episode.
     """
 
     name: str
@@ -60,6 +63,7 @@ class Row:
     train: str = ""
     evaluate: str = ""
     seeds: int = 1
+    against: str = ""
 
 
 @dataclass(frozen=True)
@@ -123,7 +127,7 @@ def main() -> None:
     plan = Plan(
         args.root.resolve(), table["datasets"], args.workers, args.split, args.generate, args.train, args.episodes
     )
-    runs, minutes = {}, {}
+    runs, minutes, against = {}, {}, {}
     for row in rows if args.only is None else [row for row in rows if row.name in args.only]:
         for seed in range(args.seeds or row.seeds):
             commands = plan.commands(row, seed)
@@ -135,14 +139,19 @@ def main() -> None:
                     do(folder, command)
             _, training, runs[f"{row.name}, seed {seed}"] = commands
             minutes[f"{row.name}, seed {seed}"] = json.loads(done(training).read_text())["processor_minutes"]
+            against[f"{row.name}, seed {seed}"] = runs.get(f"{row.against}, seed 0")
     if not args.dry_run:
         print(as_markdown(runs, minutes))
         known = json.loads(args.json.read_text())["runs"] if args.json and args.json.exists() else {}
-        write_numbers(args, runs=known | {name: figures(folder, minutes[name]) for name, folder in runs.items()})
+        told = {name: figures(folder, minutes[name], against[name]) for name, folder in runs.items()}
+        write_numbers(args, runs=known | told)
 
 
-def figures(folder: Path, minutes: float) -> dict[str, Any]:
-    """Return what docs/figures tells of a result folder; ``checkpoint`` is the one that ships with its weights."""
+def figures(folder: Path, minutes: float, reference: Path | None = None) -> dict[str, Any]:
+    """Return what docs/figures tells of a result folder; ``checkpoint`` is the one that ships with its weights.
+
+    With the result folder of a reference also how much higher S_loc is than its, paired by episode.
+    """
     results = read_results(folder)
     weights = results.info.extra[WEIGHTS]
     shipped = [path.name for path in (REPOSITORY / "checkpoints").iterdir() if folder_weights(path) == weights]
@@ -152,8 +161,9 @@ def figures(folder: Path, minutes: float) -> dict[str, Any]:
     stages = Counter(row["stage"] for row in results.rows)
     ends = {name: sum(map(stages.__getitem__, parts)) / stages.total() for name, parts in ENDS.items()}
     metrics |= {name: {"value": share, "unit": "fraction"} for name, share in ends.items()}
+    paired = {"paired": asdict(compare(results, read_results(reference), "S_loc"))} if reference else {}
     ran = provenance() | {"command": results.info.command, "benchmark": pinned_benchmark(), WEIGHTS: weights}
-    return told | ran | {"minutes": minutes, "metrics": metrics, "by_category": by_category}
+    return told | ran | {"minutes": minutes, "metrics": metrics, "by_category": by_category} | paired
 
 
 def done(folder: Path) -> Path:

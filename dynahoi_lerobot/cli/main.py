@@ -64,19 +64,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = _Parser(prog="dynahoi", description="Catching moving objects with a dexterous hand.")
     parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
     commands = parser.add_subparsers(dest="command", required=True)
-    for name, (module, text) in COMMANDS.items():
-        command = commands.add_parser(name, help=text, description=text)
-        if words[:1] == [name]:
-            add_options(command, importlib.import_module(module).Options)
+    for name, (_, text) in COMMANDS.items():
+        commands.add_parser(name, help=text, description=text)
     spoken = " ".join(["dynahoi", *(word for word in words[:1] if word in COMMANDS)])
 
     with suppress(ValueError):  # outside the main thread
         signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # removes what is half made
 
     def run() -> int:
-        given = vars(parser.parse_args(words))
-        command = importlib.import_module(COMMANDS[given["command"]][0])
-        options = read_options(command.Options, given)
+        name = parser.parse_args(words[:1]).command
+        command = importlib.import_module(COMMANDS[name][0])
+        add_options(commands.choices[name], command.Options)
+        options = read_options(command.Options, vars(commands.choices[name].parse_args(words[1:])))
         _check_outputs(options)
         return command.run(options)
 

@@ -22,9 +22,10 @@ from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.core.reading import reading
 from dynahoi_lerobot.core.rules import is_acting
 from dynahoi_lerobot.dataset.store import open_dataset
-from dynahoi_lerobot.evaluate.arguments import TRAINED_FOR, TRUST, make_actor, playing_rules
+from dynahoi_lerobot.evaluate.arguments import EXPERT_ALIAS, TRAINED_FOR, TRUST, make_actor, playing_rules
 from dynahoi_lerobot.evaluate.gif import encode_gif, frame_phases, phases_of
 from dynahoi_lerobot.evaluate.results import read_results
+from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.renderers.views import VIEWS
 from dynahoi_lerobot.rollout.loop import evaluate, replay
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
@@ -91,7 +92,7 @@ def run(options: Options) -> int:
         return _sample(options.sample, options)
     sources = {"motion": _played, "dataset": _from_dataset, "results": _replayed}
     chosen = [(make, source) for name, make in sources.items() if (source := getattr(options, name)) is not None]
-    if options.thoughts and options.motion is None:
+    if options.thoughts and (options.motion is None or options.policy in (EXPERT_ALIAS, *EXPERTS.names())):
         raise ValueError(
             "--thoughts draws what a policy thinks while it plays: give --motion MOTION --policy CHECKPOINT"
         )
@@ -100,7 +101,7 @@ def run(options: Options) -> int:
     ((make_clip, source),) = chosen
     clip = make_clip(source, options)
     write_clip(options.out, clip)
-    print(f"{clip.caption}: {options.out}")
+    print(f"{options.out}: {clip.caption}")
     return 0
 
 
@@ -118,9 +119,7 @@ def _sample(per_kind: int, options: Options) -> int:
     key = _camera_key(options, dataset)
     with reading(options.dataset):
         shown = write_sample(options.out, dataset, key, per_kind)
-    print(
-        f"{shown} episodes of {options.dataset}: {options.out}; mark some, and it prints the command that removes them"
-    )
+    print(f"{options.out}: {shown} episodes of {options.dataset}; mark some to see the command that removes them")
     return 0
 
 

@@ -105,6 +105,8 @@ def add_options(
         read = next((read for kind, read in READERS.items() if hint in (kind, kind | None, list[kind])), None)
         settings = ({"type": read} if read else {}) | entry.metadata
         told = "; ".join(filter(None, (settings["help"], (notes or {}).get(entry.name))))
+        if entry.default not in (MISSING, None, False, "", ()) and "default" not in told:
+            told += f" (default: {entry.default})"
         settings |= {"help": told.replace("%", "%%"), "default": SUPPRESS}
         place: Any = parser
         if settings.pop("either", False):

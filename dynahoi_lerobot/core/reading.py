@@ -34,7 +34,7 @@ FILE_BYTES = 4 * GIB
 WEIGHTS_BYTES = 64 * GIB
 TEXT_BYTES, YAML_BYTES = 32 * MIB, MIB
 """Largest JSON or other text; YAML takes a thousand times as long."""
-DEPTH, VALUES, INTEGER = 64, 10**7, 2**64
+DEPTH, VALUES, INTEGER = 64, 3 * 10**6, 2**64
 """Deepest nesting, most values and largest integer of JSON and YAML."""
 TABLE_BYTES = GIB
 """Largest table or arrays in memory."""
@@ -116,7 +116,10 @@ def sha256(path: Path) -> str:
 def read_json(path: Path) -> Any:
     """Return what a JSON file holds, of finite numbers and Unicode text."""
     with reading(path):
-        return _plain(json.loads(read_text(path)))
+        text = read_text(path)
+        if sum(map(text.count, ",[{")) > VALUES:  # parsing it would take minutes
+            raise ValueError(f"it holds more than {VALUES} values")
+        return _plain(json.loads(text, object_pairs_hook=_object))
 
 
 def read_object(path: Path, types: Mapping[str, Any] = {}) -> dict[str, Any]:
@@ -180,6 +183,15 @@ def decoded[T](kind: type[T], values: Any) -> T:
     except draccus.utils.DraccusException as error:
         told = error if isinstance(error, draccus.utils.DecodingError) else error.__cause__ or error
         raise ValueError(str(told)) from error
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Refuse a key that appears twice, of which JSON's readers keep the first or the last."""
+    held = dict(pairs)
+    if len(held) < len(pairs):
+        keys = [key for key, _ in pairs]
+        raise ValueError(f"key {next(key for key in keys if keys.count(key) > 1)!r:.80} appears again")
+    return held
 
 
 def _plain(content: Any) -> Any:

@@ -33,7 +33,7 @@ def known[T](noun: str, name: str, table: Mapping[str, T]) -> T:
     if name not in table:
         close = difflib.get_close_matches(name, table, n=1)
         hint = f" (did you mean {close[0]!r}?)" if close else ""
-        raise UnknownNameError(f"unknown {noun} {name!r}{hint}; known: {', '.join(table)}")
+        raise UnknownNameError(f"unknown {noun} {name!r}{hint}; known: {', '.join(filter(None, table))}")
     return table[name]
 
 

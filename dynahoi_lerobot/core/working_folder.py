@@ -20,6 +20,8 @@ LOCK, TASK = "lock", "plan.json"
 def working_folder(path: Path, task: dict[str, Any]) -> Iterator[Path]:
     """Make a folder, or enter that of an interrupted run of the same task, given as JSON values, and hold its lock.
 
+    A run that fails before it has made anything leaves no folder.
+
     Raises:
         BlockingIOError: if another process works in it.
         FileExistsError: if it belongs to another task, or no task made it.
@@ -28,9 +30,18 @@ def working_folder(path: Path, task: dict[str, Any]) -> Iterator[Path]:
         raise FileExistsError(f"{path} is a file; remove it or choose another folder")
     path.mkdir(parents=True, exist_ok=True)
     _refuse_foreign(path)
-    with exclusive(path):
-        _claim(path, task)
-        yield path
+    try:
+        with exclusive(path):
+            _claim(path, task)
+            try:
+                yield path
+            except BaseException:
+                if {entry.name for entry in path.iterdir()} <= {TASK, LOCK}:
+                    (path / TASK).unlink(missing_ok=True)
+                raise
+    finally:
+        with suppress(OSError):  # there is work in it
+            path.rmdir()
 
 
 @contextmanager

@@ -12,7 +12,7 @@ VLM = "vlm"
 """Name of the vision-language model at an endpoint, which ``dynahoi evaluate`` sets up."""
 
 TRAINED_FOR = dict.fromkeys(
-    ("control_class", "protocol", "control_mode", "image_size"),
+    ("capture", "control_class", "protocol", "control_mode", "image_size"),
     "by default the setting that the policy was trained with",
 )
 """Fields of a recipe that a policy may say it was trained for, with what that adds to their help."""

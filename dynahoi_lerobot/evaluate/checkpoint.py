@@ -65,7 +65,7 @@ CODE_KEYS = {
 """Keys by which transformers is told, at any depth, to run Python files of a repository."""
 PICKLES = (".bin", ".pt", ".pth", ".pkl", ".ckpt")
 """Suffixes of files that Python unpickles, which runs what they hold; LeRobot's own checkpoints have none."""
-REMEDY = "give a pretrained_model folder, a Hub repository (user/name), or one of the experts"
+REMEDY = "give a pretrained_model folder, a Hub repository (user/name), or a baseline that `dynahoi list experts` names"
 
 
 class PolicyError(ReadError):

@@ -33,6 +33,9 @@ from dynahoi_lerobot.sampling.splits import SMALL_TEST, split_seeds
 from dynahoi_lerobot.vlm.prompt import DEFAULT_PROMPT, PROMPTS
 from dynahoi_lerobot.world.batch import WorldBatch
 
+FOR_VLM = ("model", "prompt", "base_url", "request_timeout")
+"""Options of vision-language models."""
+
 
 def _latency(text: str) -> float | None:
     """Parse ``--inference-ms``; None is ``measured``."""
@@ -67,7 +70,8 @@ class Options:
     )
     batch_size: int = option(
         32,
-        "worlds simulated in parallel, without effect on results; 1 for policies with --inference-ms measured",
+        "worlds simulated in parallel, without effect on the results of baselines and ObAct; 1 for policies with "
+        "--inference-ms measured",
         whole(1, 4096),
     )
     gifs: int = option(0, "number of episodes to record as GIFs in --out", whole(0, 10**6))
@@ -104,6 +108,11 @@ def run(options: Options) -> int:
         raise ValueError(f"--replay-seed {options.replay_seed} is for --replay RESULTS")
     if options.replay:
         return replay_results.run(options.replay, options.rules.get("salt", ""), options.episodes, options.replay_seed)
+    if options.gifs and not options.out:
+        raise ValueError(f"--gifs {options.gifs} needs --out, the folder to write them to")
+    for name in FOR_VLM:
+        if options.policy != VLM and getattr(options, name) != getattr(Options, name):
+            raise ValueError(f"--{name.replace('_', '-')} is for --policy vlm, not {options.policy}")
     inference = Inference(options.inference, options.inference_ms)
     actor = _real_time(_actor(options), inference)
     rules = playing_rules(options.rules, actor)
@@ -221,7 +230,7 @@ def _played(
     if not specs:
         return
     batch = WorldBatch(recipe, min(size, len(specs)))
-    gifs = options.gifs if options.out else 0
+    gifs = options.gifs
     with tqdm(total=len(specs), desc=f"{options.policy} on {options.split}", unit="episode") as progress:
         for group in batched(specs, size):
             if len(group) < batch.size:  # a policy's noise depends on the number of worlds, also when it is resumed

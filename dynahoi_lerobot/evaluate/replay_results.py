@@ -50,7 +50,7 @@ def run(folder: Path, salt: str, count: int | None, seed: int | None) -> int:
     for name in (METRICS_FILE, EPISODES_FILE, ACTIONS_FILE):
         print(f"sha256 {sha256(results.folder / name)}  {results.folder / name}")
     for name, (value, rule) in (changed_rules(results) | _unseen_rules(results)).items():
-        print(f"not the benchmark's {name}: {reprlib.repr(value)}, which is {reprlib.repr(rule)}")
+        print(f"not the benchmark's {name}: {reprlib.repr(value)} instead of {reprlib.repr(rule)}")
     seed = secrets.randbits(32) if seed is None else seed
     chosen = drawn(len(results.rows), count, seed)
     findings = list(check_results(results, recipe))

@@ -2,7 +2,6 @@
 
 import io
 import json
-import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -12,7 +11,7 @@ from typing import Any, Self, get_type_hints
 
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import HAND_DOF
+from dynahoi_lerobot.core.conventions import HAND_DOF, SEED_LIMIT
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.escaping import printable
 from dynahoi_lerobot.core.files import write_atomically
@@ -54,6 +53,9 @@ EXTRA_TYPES = {
 
 UNIFORM = ("capture", "benchmark", "protocol", "control_class")
 """Columns with one value in all rows; the first two have that of ``metrics.json``."""
+
+LARGEST = SEED_LIMIT
+"""No number in a row or a command is larger."""
 
 REMEDY = "run `dynahoi evaluate` with this folder as --out"
 WEIGHTS = "weights"
@@ -310,12 +312,12 @@ def _read_rows(path: Path) -> list[Row]:
 
 def _possible(name: str, kind: str, value: Any) -> bool:
     """Tell whether an episode could have a value in a column; a metric may lack one."""
-    if kind == "double":
-        if value is None:
-            return name in METRICS
-        rate = name in METRICS and METRICS[name].aggregation == "rate"
-        return value in (0.0, 1.0) if rate else math.isfinite(value)
-    return name == "first_localized" or (value is not None and (kind != "int64" or value >= 0))
+    if name in METRICS:
+        (low, high), rate = METRICS[name].bounds, METRICS[name].aggregation == "rate"
+        return value is None or (value in (0.0, 1.0) if rate else low <= value <= min(high, LARGEST))
+    if value is None:
+        return name == "first_localized"
+    return kind not in ("double", "int64") or 0 <= value <= LARGEST
 
 
 def _write_actions(path: Path, rows: Sequence[Row], actions: Sequence[np.ndarray]) -> None:
@@ -333,11 +335,16 @@ def _read_actions(path: Path, rows: Sequence[Row]) -> list[np.ndarray]:
     """Return the (T, 18) actions of all episodes, of which the first are those of ``rows``."""
     with reading(path):
         actions, offsets, seeds = read_arrays(path, ("action", "offsets", "seed")).values()
-        if actions.shape[1:] != (HAND_DOF,) or actions.dtype.kind != "f" or not np.isfinite(actions).all():
-            raise ValueError(f"its actions must be finite, of shape (N, {HAND_DOF}), got {actions.shape}")
+        if actions.shape[1:] != (HAND_DOF,) or actions.dtype.kind != "f" or not (np.abs(actions) <= LARGEST).all():
+            told = f"of shape {actions.shape}, up to {np.abs(actions).max(initial=0)}"
+            raise ValueError(f"its actions must be of shape (N, {HAND_DOF}), up to {LARGEST}; they are {told}")
         steps = np.diff(offsets, prepend=0, append=len(actions))
         if offsets.shape != (len(seeds) + 1,) or offsets.dtype.kind != "i" or steps[0] or steps[-1] or steps.min() < 0:
             raise ValueError("its offsets do not divide its actions among its episodes")
         if any(row["seed"] != seed for row, seed in zip(rows, seeds.tolist(), strict=False)):
             raise ValueError(f"its seeds are not those of {EPISODES_FILE}")
+        for row, n_frames in zip(rows, steps[1:-1].tolist(), strict=False):
+            for name in ("window_frames", "first_localized"):
+                if (row[name] or 0) >= n_frames:
+                    raise ValueError(f"seed {row['seed']} has {n_frames} commands, and {name} is {row[name]}")
         return np.split(actions, offsets[1:-1])

@@ -15,6 +15,9 @@ MAIN_COLUMNS = ("S_loc", "S_joint", "S_gra_two_sided", "S_gra", "E_loc", "E_gra"
 CONDITIONS = ("split", "protocol", "capture", "control", "inference", "noise", "speed", "benchmark", "n")
 """Titles of what is said about an evaluation beside its numbers: under others they do not compare."""
 
+MOST_COLUMNS = 3
+"""So many evaluations stand side by side in a terminal of 100 columns."""
+
 
 @dataclass(frozen=True)
 class Cell:
@@ -51,11 +54,22 @@ class Table:
         lines = ["  ".join(line).rstrip() for line in zip(*columns, strict=True)]
         return "\n".join([*filter(None, [self.caption]), lines[0], "-" * max(map(len, lines)), *lines[1:]])
 
+    def turned(self) -> "Table":
+        """Return it with rows for columns."""
+        title, *head = self.head
+        names, *columns = zip(*self.rows, strict=True)
+        rows = tuple((Cell(name), *column) for name, column in zip(head, columns, strict=True))
+        return Table(self.caption, (title, *(cell.text for cell in names)), rows)
+
 
 def results_table(results: Sequence[Results]) -> str:
-    """Return one line per evaluation, each metric with its interval; what all of them share is in the first line."""
+    """Return a column for each evaluation, or, if there are many, a line, each metric with its interval.
+
+    What all of them share is in the first line.
+    """
     names = [result.marked(result.info.policy) for result in results]
-    return metrics_table(names, results, columns_for(results)).as_text()
+    table = metrics_table(names, results, columns_for(results))
+    return (table.turned() if len(results) <= MOST_COLUMNS else table).as_text()
 
 
 def metrics_table(labels: Sequence[str], results: Sequence[Results], columns: Sequence[str]) -> Table:

@@ -25,6 +25,8 @@ from dynahoi_lerobot.rollout import loop
 from dynahoi_lerobot.sampling.recipe import PLAYING, RECORDING, Recipe, load_recipe
 
 EXECUTORS = ("local", "slurm", "ray")
+FOR_EXECUTORS = ("tasks", "dry_run", "partition", "time", "cpus_per_task", "gpus_per_task")
+"""Options without effect unless an executor is named."""
 LONGEST_VIDEO_S = 1e9
 """No dataset is longer."""
 
@@ -75,6 +77,11 @@ def run(options: Options, *, record: Record | None = None, recipe: Recipe | None
     check_output(options.root)
     check_root(options.root)
     complete = options.root.exists()
+    for name in FOR_EXECUTORS:
+        if options.executor is None and getattr(options, name) != getattr(Options, name):
+            raise ValueError(
+                f"--{name.replace('_', '-')} needs --executor {', '.join(EXECUTORS[:-1])} or {EXECUTORS[-1]}"
+            )
     recipe, runs_on = recipe or load_recipe(options.recipe), ""
     if options.actor is not None:
         recipe, record, runs_on = _on_policy(options.actor, options, recipe)

@@ -93,6 +93,8 @@ def run(kind: str, plan: GenerationPlan, root: Path, record: Record, resources: 
     root = root.absolute()
     if finished(plan, root) is not None:
         return True
+    if kind == "slurm" and shutil.which("sbatch") is None:
+        raise CommandError("--executor slurm needs Slurm's command sbatch, which this machine does not have")
     with open_workspace(plan, root) as workspace:
         maker = ShardMaker(plan, workspace, record)
         maker.discard_damaged()

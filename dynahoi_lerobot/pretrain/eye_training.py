@@ -108,6 +108,9 @@ class Training:
             if state := self._folder.restore():
                 require(state, {"updates": int, "processor_s": float})
                 self.n_updates, self._spent_s = state["updates"], state["processor_s"]
+                if not 1 <= self.n_updates <= recipe.updates or not 0 <= self._spent_s < math.inf:
+                    told = f"{self.n_updates} updates in {self._spent_s} s"
+                    raise ValueError(f"it says {told}; it must be 1 to {recipe.updates}, in 0 s or more")
                 self._eye.load_state_dict(state["weights"])
                 self.optimizer.load_state_dict(state["optimizer"])
 

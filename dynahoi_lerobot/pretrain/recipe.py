@@ -1,11 +1,12 @@
 """What is pretrained and how, as a YAML file that draccus reads."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 from dynahoi_lerobot.core.conventions import EGO_VIEW
 from dynahoi_lerobot.core.reading import decoded, read_yaml, reading
+from dynahoi_lerobot.core.registry import known
 from dynahoi_lerobot.renderers.views import CAMERAS
 from dynahoi_lerobot.sampling.recipe import Recipe
 
@@ -72,6 +73,10 @@ def read_recipe(path: Path, **changes: Any) -> PretrainRecipe:
 
     Raises:
         ReadError: if the file is refused by ``read_yaml``, or holds an unknown key or value.
+        ValueError: if a recipe has no value of that name.
     """
+    names = dict.fromkeys(entry.name for entry in fields(PretrainRecipe))
+    for name in changes:
+        known("field of the recipe", name, names)
     with reading(path):
         return decoded(PretrainRecipe, read_yaml(path) | changes)

@@ -45,5 +45,5 @@ class RunFolder:
         with reading(self.path / STATE):
             state = torch.load(regular_zip(self.path / STATE, WEIGHTS_BYTES), weights_only=True, map_location="cpu")
             log = str(state["log"])
-        (self.path / LOG).write_text(log)
+        write_atomically({self.path / LOG: lambda path: path.write_text(log)})  # in place of a pipe or a link, too
         return state

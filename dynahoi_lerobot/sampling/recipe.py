@@ -18,9 +18,10 @@ from dynahoi_lerobot.core.registry import known
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS, DEFAULT_PROTOCOL, PROTOCOLS
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.experts.base import Teacher
+from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.objects import OBJECTS
-from dynahoi_lerobot.renderers import DEFAULT_RENDERER
+from dynahoi_lerobot.renderers import DEFAULT_RENDERER, RENDERERS
 from dynahoi_lerobot.renderers.views import OPTIONAL_VIEWS
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK, Split
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint, extension_fingerprint
@@ -118,6 +119,9 @@ class Recipe:
         rule = CAPTURES[self.capture]
         object.__setattr__(self, "hand", self.hand or rule.hand)
         object.__setattr__(self, "expert", self.expert or rule.expert)
+        HANDS.check(self.hand)
+        EXPERTS.check(self.expert)
+        RENDERERS.check(self.renderer)
         for noun, registry, chosen in (("motion", MOTIONS, self.motions), ("object", OBJECTS, self.objects)):
             for name in chosen:
                 registry[name]  # raises if there is none

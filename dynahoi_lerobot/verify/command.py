@@ -113,7 +113,7 @@ def verify(
     findings += _guarded("verdicts", _verdicts(store, recipe, progress))
     if replayed:
         drawn = drawn_evenly(store, replayed, np.random.default_rng())
-        note(f"drawn for the replay: episodes {', '.join(map(str, drawn))}")
+        note(f"replaying the episodes {', '.join(map(str, drawn))}")
         findings += _guarded("replay", replay_problems(store, drawn, recipe, note))
     return findings
 

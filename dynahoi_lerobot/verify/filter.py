@@ -36,7 +36,7 @@ def run(options: Options) -> int:
     """Print the outliers and copy all other episodes; return the exit code."""
     output = None if options.dry_run else options.out
     if output is None and not options.dry_run:
-        raise ValueError("say where the new dataset goes with --out DIR, or --dry-run to see what it would lack")
+        raise ValueError("give --out DIR for the new dataset, or --dry-run to see which episodes it would leave out")
     episodes = Store(options.root).episodes
     outliers = {} if options.drop else find_outliers(options.root, options.margin, options.column)
     if unknown := sorted(set(options.drop) - set(map(str, range(episodes)))):

@@ -55,7 +55,7 @@ def replay_problems(
             videos, equal = videos + 1, equal + same
             if problem := None if same else _apart(again, stored_images):
                 yield f"{key} of episode {index} {problem}"
-    note(f"replayed {len(indices)} episodes; of {videos} videos of them {equal} are equal byte for byte")
+    note(f"{equal} of the {videos} videos replayed are equal byte for byte")
 
 
 def _content(episode: Episode) -> dict[str, object]:

@@ -57,7 +57,9 @@ def test_an_evaluation_goes_on_where_it_stopped_and_its_episodes_are_shown(tmp_p
         film = tmp_path / f"{view}.gif"
         words = ["--seed", "1", "--image-size", "32", "--view", view, "--out", str(film)]
         assert cli.main(["view", "--results", str(out), *words]) == 0
-        assert f"{stage}: {film}" in capsys.readouterr().out
+        said = capsys.readouterr().out
+        assert said.startswith(f"{film}: ")
+        assert said.endswith(f" {stage}\n")
         shown[view] = film.read_bytes()
     assert shown["side"] != shown["ego"]
     assert cli.main(["view", "--results", str(out), "--seed", "7", "--out", str(film)]) == 2
@@ -85,7 +87,7 @@ def test_a_motion_is_played_into_every_format(suffix: str, tmp_path: Path) -> No
 def test_an_episode_of_a_dataset(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "episode.gif"
     assert view("--dataset", dataset, "--episode", 3, "--out", out) == 0
-    assert capsys.readouterr().out == f"Catch the blue ball.: {out}\n"
+    assert capsys.readouterr().out == f"{out}: Catch the blue ball.\n"
     assert total_ms(out.read_bytes()) == 23 * 50, "episode i of the made-up dataset has 20 + i frames"
     first, *_, last = pages(out.read_bytes())
     for page, phase in ((first, "observing"), (last, "localized")):
@@ -115,7 +117,7 @@ def test_a_sample_has_as_many_of_each_kind() -> None:
 def test_a_policy_plays_at_the_size_it_was_trained_for(actor: Path, tmp_path: Path, capsys) -> None:
     out = tmp_path / "policy.mp4"
     assert view("--motion", "planar", "--policy", actor, "--out", out) == 0
-    assert capsys.readouterr().out.splitlines()[-1].startswith(f"{actor}: Catch")
+    assert capsys.readouterr().out.splitlines()[-1].startswith(f"{out}: {actor}: Catch")
     with av.open(str(out)) as film:
         assert next(film.decode(video=0)).width == 32
 

@@ -55,6 +55,12 @@ def test_only_the_folder_of_the_same_task_is_entered(tmp_path: Path):
         pass
 
 
+def test_what_fails_before_it_made_anything_leaves_no_folder(tmp_path: Path):
+    with pytest.raises(ValueError, match="too early"), working_folder(tmp_path / "work", {}):
+        raise ValueError("too early")
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_folder_appears_whole_or_not_at_all(tmp_path: Path):
     def fail() -> None:
         with new_folder(tmp_path / "d") as folder:

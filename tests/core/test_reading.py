@@ -139,7 +139,8 @@ def test_a_wrong_value_anywhere_is_read_or_refused_but_no_fault(artefact, name, 
 
 
 def test_json_is_bounded(tmp_path: Path) -> None:
-    for text in ("NaN", "1e999", "9" * 30, "9" * 5000, "[" * 70 + "]" * 70, '"\\ud800"', "{", "\xff"):
+    surplus = ['{"x": {"y": 1, "y": 2}}', "[" + "[]," * 3 * 10**6 + "1]"]
+    for text in (*surplus, "NaN", "1e999", "9" * 30, "9" * 5000, "[" * 70 + "]" * 70, '"\\ud800"', "{", "\xff"):
         (path := tmp_path / "x.json").write_text(text, "latin-1")
         with pytest.raises(ReadError, match=r"x\.json cannot be read"):
             read_json(path)

@@ -156,6 +156,13 @@ def test_a_checkpoint_is_played_under_the_rules_it_was_trained_for(tmp_path, mon
     assert DynahoiEnvConfig().control_class == "standard"
 
 
+def test_a_policy_of_two_cameras_gets_both(monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["lerobot-eval", f"--policy.path={SHIPPED.with_name('obact_two')}"])
+    assert DynahoiEnvConfig().views == ("side",)
+    assert "views side" in capsys.readouterr().out
+    assert DynahoiEnvConfig(views=()).views == ()
+
+
 @pytest.fixture(scope="module")
 def act(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tiny_act(tmp_path_factory.mktemp("act"), FEATURES["input_features"])

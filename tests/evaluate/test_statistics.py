@@ -109,20 +109,27 @@ def test_numbers_are_printed_in_the_papers_units():
     assert [heading(name) for name in ("S_loc", "E_loc", "Q_line")] == ["S_loc % ↑", "E_loc u ↓", "Q_line ↑"]
 
 
-def test_one_line_per_evaluation_under_what_they_share():
-    shared, header, rule, *lines = results_table([results("a"), results("a much longer name")]).split("\n")
+def test_many_evaluations_are_lines_under_what_they_share():
+    shared, header, rule, *lines = results_table([results("a"), *[results("a much longer name")] * 3]).split("\n")
     assert "split test" in shared
     assert "n 4" in shared
     assert "split" not in header
     assert all(f" {name} " in header for name in MAIN_COLUMNS)
     assert set(rule) == {"-"}
-    assert [line.split()[0] for line in lines] == ["a", "a"]
+    assert [line.split()[0] for line in lines] == ["a"] * 4
     assert len({line.index("75.0 [") for line in lines}) == 1, "columns must line up"
     assert len(header) == len(rule) == len(lines[0])
 
 
+def test_few_evaluations_are_columns_that_fit_a_terminal():
+    _, header, rule, *lines = results_table([results("a"), results("b"), results("c")]).split("\n")
+    assert header.split() == ["policy", "a", "b", "c"]
+    assert [line.split()[0] for line in lines] == list(MAIN_COLUMNS)
+    assert all(len(line) == len(rule) <= 100 for line in lines)
+
+
 def test_the_contact_rule_leads_with_holding():
-    shared, header, *_ = results_table([results(), results(capture="contact")]).split("\n")
-    assert header.index("capture") < header.index("S_hold") < header.index("S_loc")
+    shared, _, _, *lines = results_table([results(), results(capture="contact")]).split("\n")
+    assert [line.split()[0] for line in lines][:3] == ["capture", "S_hold", "S_loc"]
     assert "capture" not in shared
     assert "S_hold" not in results_table([results()])

@@ -95,6 +95,7 @@ def test_slurm_submits_two_jobs(tmp_path, monkeypatch):
         return str(100 + len(calls))
 
     monkeypatch.setattr(slurm, "launch_slurm_job", sbatch)
+    monkeypatch.setattr("shutil.which", lambda name: f"/usr/bin/{name}")
     assert run("--root", tmp_path / "d", "--executor", "slurm", "--episodes", 7, "--shard-episodes", 2) == 0
     jobs = [(contents, args) for contents, args in calls if "merge_stats" not in contents]
     assert ["dynahoi-shards" in jobs[0][0], "dynahoi-merge" in jobs[1][0]] == [True, True]

@@ -1,6 +1,7 @@
 """A tiny run of `dynahoi pretrain`: it logs, leaves an eye, and resumes after a kill."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,7 @@ from torch.utils.data import DataLoader
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.pretrain import eye_training
 from dynahoi_lerobot.pretrain.recipe import read_recipe
-from dynahoi_lerobot.pretrain.run_folder import LOG, RunFolder
+from dynahoi_lerobot.pretrain.run_folder import LOG, STATE, RunFolder
 
 TINY_EYE = {"channels": 8, "fovea": 12}
 BATCH, UPDATES, SAVE_EVERY = 4, 7, 3
@@ -91,6 +92,8 @@ def test_a_setting_overrides_the_recipe(tmp_path: Path, capsys: pytest.CaptureFi
     words = ["pretrain", "--recipe", str(tiny_recipe(tmp_path)), "--set"]
     assert main([*words, f"images={BATCH}"]) == 0
     assert json.loads(capsys.readouterr().out)["images"] == BATCH
+    assert main([*words, "imagess=10"]) == 2
+    assert "unknown field of the recipe 'imagess' (did you mean 'images'?)" in capsys.readouterr().err
     for wrong in ("images", "images={"):
         assert main([*words, wrong]) == 2
         assert f"must be KEY=VALUE, the value as YAML, got {wrong!r}" in capsys.readouterr().err
@@ -145,3 +148,37 @@ def test_a_folder_goes_back_to_its_last_whole_save(tmp_path: Path, monkeypatch: 
     assert restored is not None
     assert restored["step"] == 1
     assert log(tmp_path / "run") == [{"step": 1}]
+
+
+def test_a_log_that_leads_elsewhere_is_replaced(tmp_path: Path):
+    folder = RunFolder(tmp_path / "run", {})
+    folder.log({"step": 1})
+    folder.save({"step": 1})
+    (tmp_path / "mine").write_text("not a log")
+    (folder.path / LOG).unlink()
+    (folder.path / LOG).symlink_to(tmp_path / "mine")
+    folder.restore()
+    folder.log({"step": 2})
+    assert (tmp_path / "mine").read_text() == "not a log"
+    assert log(folder.path) == [{"step": 1}, {"step": 2}]
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"updates": -1}, "it says -1 updates"),
+        ({"updates": UPDATES + 1}, f"it says {UPDATES + 1} updates"),
+        ({"processor_s": float("nan")}, "in nan s; it must be"),
+        ({"processor_s": "1"}, "processor_s must be of type float"),
+        ({"weights": {}}, "Missing key"),
+    ],
+)
+def test_a_saved_state_that_no_run_has_is_refused(change: dict, told: str, finished, tmp_path, capsys):
+    recipe = tiny_recipe(tmp_path)
+    shutil.copytree(finished, tmp_path / "eye")
+    state = torch.load(tmp_path / "eye" / STATE, weights_only=True)
+    torch.save(state | change, tmp_path / "eye" / STATE)
+    assert main(["pretrain", "--recipe", str(recipe)]) == 2
+    said = capsys.readouterr().err
+    assert f"{tmp_path / 'eye' / STATE} cannot be read" in said
+    assert told in said

@@ -56,7 +56,7 @@ def test_what_was_generated_is_sound_and_replays_to_the_same_bytes(tmp_path, cap
     assert main(["verify", str(root), "--replay", "2"]) == 0
     told = capsys.readouterr().out
     views = len(Store(root).image_keys)
-    assert f"of {2 * views} videos of them {2 * views} are equal byte for byte" in told
+    assert f"{2 * views} of the {2 * views} videos replayed are equal byte for byte" in told
 
 
 def test_every_metric_follows_from_what_is_stored(sound):

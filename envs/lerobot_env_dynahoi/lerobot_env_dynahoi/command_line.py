@@ -8,8 +8,10 @@ from typing import Any
 import draccus
 from lerobot.configs import PreTrainedConfig, parser
 
+from dynahoi_lerobot.core.features import IMAGE_PREFIX
 from dynahoi_lerobot.core.reading import ReadError, read_object, read_yaml
-from dynahoi_lerobot.evaluate.checkpoint import described_folder, folder_weights, trained_for
+from dynahoi_lerobot.evaluate.checkpoint import CONFIG, described_folder, folder_weights, trained_for
+from dynahoi_lerobot.renderers.views import OPTIONAL_VIEWS
 from dynahoi_lerobot.rollout.inference import QueuedPolicy
 
 
@@ -36,12 +38,16 @@ def policy_weights() -> dict[str, str]:
 
 
 def policy_rules() -> dict[str, Any]:
-    """Return the rules that the checkpoint of the command line was trained for, see ``trained_for``."""
-    path = _policy_path()
+    """Return the views and the rules that the checkpoint of the command line was trained for, see ``trained_for``."""
+    if (path := _policy_path()) is None:
+        return {}
     try:
-        return trained_for(described_folder(path)) if path else {}
+        rules = trained_for(folder := described_folder(path))
+        inputs = read_object(folder / CONFIG).get("input_features", {})
     except ReadError:
         return {}  # LeRobot says what is wrong with it
+    views = [view for view in OPTIONAL_VIEWS if IMAGE_PREFIX + view in inputs]
+    return rules | ({"views": views} if views else {})
 
 
 def new_results_folder() -> Path:

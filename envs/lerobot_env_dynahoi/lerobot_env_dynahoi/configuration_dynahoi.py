@@ -13,9 +13,7 @@ from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.features import Feature
 from dynahoi_lerobot.core.registry import known
 from dynahoi_lerobot.env.vector_env import REWARDS, SPARSE
-from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.motions import MOTIONS
-from dynahoi_lerobot.renderers import RENDERERS
 from dynahoi_lerobot.rollout.inference import SYNC, Inference, StepwiseInference
 from dynahoi_lerobot.sampling.recipe import PLAYING, Recipe
 from lerobot_env_dynahoi.command_line import new_results_folder, policy_rules, queued_policy
@@ -35,9 +33,9 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
     """Dynamic capture: one suite per category of motion, one task per kind.
 
     The fields of `Recipe` that matter to a policy are fields here as well, such as ``split``, ``image_size``,
-    ``control_class`` and ``environment_state``. One that is None is as in the recipe by default; ``control_class``,
-    ``protocol`` and ``image_size`` are first of all what the policy of the command line was trained for. The split is
-    ``test``. A seed is the number of an episode within split and kind of motion; fixed splits wrap around.
+    ``control_class`` and ``environment_state``. One that is None is as the policy of the command line was trained
+    (``capture``, ``control_class``, ``protocol``, ``image_size``, ``views``), or else as in the recipe by default; the
+    split is ``test``. A seed is the number of an episode within split and kind of motion; fixed splits wrap around.
 
     Attributes:
         task: one kind of motion, one category, several of either separated by commas, or None for all 22 kinds.
@@ -75,8 +73,6 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
             if name != "hand":  # which is the capture rule's where nothing is said
                 setattr(self, name, getattr(recipe, name))
         kinds_of(self.task, recipe.motion_names)
-        HANDS.check(recipe.hand)
-        RENDERERS.check(recipe.renderer)
         known("reward", self.reward, REWARDS)
         shown = {
             feature.key if feature.is_image else feature.gym_key: feature
@@ -117,7 +113,7 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
         given = {name: value for name in RECIPE_FIELDS if (value := getattr(self, name)) is not None}
         trained = {name: value for name, value in policy_rules().items() if name not in given}
         if trained:
-            told = ", ".join(f"{name} {value}" for name, value in trained.items())
+            told = ", ".join(f"{name} {','.join(v) if name == 'views' else v}" for name, v in trained.items())
             print(f"playing as the policy was trained: {told}")
         return Recipe(split="test").changed(**trained | given)
 
