@@ -1,8 +1,7 @@
 """The two attentions of ObAct: in space over the cells of an image, in time over the frames observed so far.
 
-Both carry positions among their values, so what they return is a place and not only a feature: `SpatialAttention`
-averages viewing rays, `PositionReadout` averages the positions sighted in earlier frames. `TemporalBlock` is an
-ordinary transformer block, causal, with a bias that depends on the age of a frame in seconds.
+Both have positions among their values: `SpatialAttention` averages viewing rays, `PositionReadout` averages the
+positions sighted in earlier frames. `TemporalBlock` is an ordinary causal transformer block with a bias by age.
 """
 
 import torch
@@ -12,8 +11,7 @@ from torch import Tensor, nn
 AGE_STEP_S, N_AGES = 0.05, 128
 """A bias by age is learned at this many ages, this far apart, and interpolated between them."""
 KEY_DIM = 16
-MEMORY_FRAMES = 200
-"""So many frames are remembered, ten seconds."""
+MEMORY_FRAMES = 200  # so many frames are remembered, ten seconds
 
 
 class SpatialAttention(nn.Module):
@@ -28,11 +26,8 @@ class SpatialAttention(nn.Module):
         self.query, self.reach = nn.Linear(dim, 1), reach
 
     def forward(self, cells: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Attend to cells ``(F, h, w, D)``, rows downwards.
-
-        Returns:
-            The ray (u to the right, v upwards, the image spans -1 to 1), ``(F, 2)``; the features there, ``(F, D)``;
-            and the logarithm of the attention before it is cut to the peak, ``(F, h, w)``.
+        """Attend to cells ``(F, h, w, D)``, rows downwards. Return the ray (u to the right, v upwards, the image spans
+        -1 to 1), ``(F, 2)``; the features there, ``(F, D)``; and the log attention, not cut to the peak, ``(F, h, w)``.
         """
         h, w = cells.shape[1:3]
         rays, flat = cell_rays(h, w, cells.device), rearrange(cells, "f h w d -> f (h w) d")
@@ -52,34 +47,26 @@ def cell_rays(height: int, width: int, device: torch.device) -> Tensor:
 
 
 class Memory:
-    """What attention keeps of the frames before, so that frames may come a few at a time; without gradients."""
+    """What attention keeps of the frames before, so that frames may come a few at a time; without gradients.
+
+    If fewer rows of the batch come than before, the last ones are over.
+    """
 
     def __init__(self) -> None:
-        self._kept: dict[object, tuple[Tensor, int]] = {}
+        self._kept: dict[object, Tensor] = {}
 
-    def extended(self, owner: object, new: Tensor, dim: int) -> Tensor:
-        """Return what was kept for ``owner`` and, along ``dim``, what is new; that is kept for the next time.
-
-        Views of a buffer that doubles are handed out: to copy all that is kept for every frame would cost more than to
-        attend to it. If fewer rows of the batch come than before, the last ones are over.
-        """
-        buffer, n = self._kept.get(owner, (new, 0))
-        buffer = buffer[: len(new)] if dim else buffer
-        end = n + new.shape[dim]
-        if end > buffer.shape[dim]:
-            kept = buffer.narrow(dim, max(0, n - MEMORY_FRAMES), min(n, MEMORY_FRAMES))
-            filled, n = torch.cat([kept, new], dim), kept.shape[dim]
-            end = filled.shape[dim]
-            buffer = torch.cat([filled, torch.empty_like(filled)], dim)
-        elif n:
-            buffer.narrow(dim, n, end - n).copy_(new)
-        self._kept[owner] = buffer, end
-        start = max(0, n - MEMORY_FRAMES)
-        return buffer.narrow(dim, start, end - start)
+    def extended(self, owner: object, new: Tensor, dim: int = 1) -> Tensor:
+        """Return what is remembered for ``owner`` and, along ``dim``, what is new, which is remembered too."""
+        if owner in self._kept:
+            kept = self._kept[owner][: len(new)]
+            n = min(kept.shape[dim], MEMORY_FRAMES)
+            new = torch.cat([kept.narrow(dim, kept.shape[dim] - n, n), new], dim)
+        self._kept[owner] = new
+        return new
 
     def first(self, owner: object, new: Tensor) -> Tensor:
         """Return what was given for ``owner`` the first time."""
-        return self._kept.setdefault(owner, (new, 0))[0][: len(new)]
+        return self._kept.setdefault(owner, new)[: len(new)]
 
 
 class AgeBias(nn.Module):
@@ -112,17 +99,14 @@ class TemporalBlock(nn.Module):
     def forward(self, tokens: Tensor, age_s: Tensor, memory: Memory) -> Tensor:
         """Map tokens of T new frames ``(B, T, D)`` to tokens; their ages since all frames are ``(T, S)``."""
         q, k, v = rearrange(self.qkv(self.norm_1(tokens)), "b t (n h d) -> n b h t d", n=3, h=self.n_heads)
-        k, v = memory.extended((self, "k"), k, 2), memory.extended((self, "v"), v, 2)
+        k, v = memory.extended((self, "k"), k, dim=2), memory.extended((self, "v"), v, dim=2)
         mixed = nn.functional.scaled_dot_product_attention(q, k, v, attn_mask=self.bias(age_s).to(q.dtype))
         tokens = tokens + self.out(rearrange(mixed, "b h t d -> b t (h d)"))
         return tokens + self.mlp(self.norm_2(tokens))
 
 
 class PositionReadout(nn.Module):
-    """Attentions of a decision over the frames before it, whose values are the positions sighted in them.
-
-    There are ``n_points``; the first is the anchor from which the others count.
-    """
+    """Attentions of a decision over the frames before it, whose values are the positions sighted there."""
 
     def __init__(self, dim: int, n_points: int) -> None:
         super().__init__()
@@ -138,14 +122,10 @@ class PositionReadout(nn.Module):
     ) -> tuple[Tensor, Tensor]:
         """Return positions ``(B, Q, J, 3)`` [m], and the weights of the frames in them, ``(B, Q, J, S)``.
 
-        Args:
-            tokens: of T new frames, ``(B, T, D)``.
-            positions: sighted in them [m], ``(B, T, 3)``.
-            age_s: since all S frames, ``(T, S)`` [s], see `AgeBias`.
-            rows: frames of the decisions, ``(B, Q)``, counted among the new ones.
-            memory: of the frames before.
+        There are tokens ``(B, T, D)`` of T new frames, positions ``(B, T, 3)`` [m] sighted in them, and their ages
+        ``(T, S)`` [s] since all S frames; decisions are taken at the new frames ``rows``, ``(B, Q)``.
         """
-        keys, positions = memory.extended(self, self.key(tokens), 1), memory.extended((self, "positions"), positions, 1)
+        keys, positions = memory.extended(self, self.key(tokens)), memory.extended("positions", positions)
         chosen = repeat(rows, "b q -> b q d", d=tokens.shape[-1])
         queries = rearrange(self.query(tokens.gather(1, chosen)), "b q (j d) -> b q j d", j=self.n_points)
         bias = rearrange(self.bias(age_s), "j t s -> t j s").index_select(0, rows.flatten()).unflatten(0, rows.shape)

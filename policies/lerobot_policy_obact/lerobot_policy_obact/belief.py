@@ -17,14 +17,12 @@ from .heads import perceptron
 
 if TYPE_CHECKING:
     from .configuration_obact import ObActConfig
-    from .modeling_obact import ObActModel
 
 FORECAST_FRAMES = (0, 1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48)
 """Frames ahead at which the target's position is forecast."""
 PLACE_M, RAY_M, POINT_M = 0.3, 0.4, 0.1
 """Units in which places, their offsets from the camera and differences between points enter the network."""
-FAR = 8.0
-"""Inputs are cut to this many units."""
+FAR = 8.0  # inputs are cut to this many units
 UNCALIBRATED = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
 """Calibration, see `Rig`, of a camera that sees rays of unit depth from the origin."""
 
@@ -49,23 +47,21 @@ class Record:
 
 @dataclass(frozen=True)
 class Frames(Record):
-    """T frames of B episodes, in the order of time.
+    """T frames of B episodes, in the order of time."""
 
-    Attributes:
-        sightings: by camera (u, v, log depth) and two log scales, then what else the encoder says, ``(B, T, C, 5 +
-            E)``.
-        state: of the robot, ``(B, T, S)``.
-        time_s: when they were seen [s], ``(T,)``.
-    """
-
-    sightings: Tensor
-    state: Tensor
-    time_s: Tensor
+    sightings: Tensor  # by camera (u, v, log depth) and two log scales, then the embedding, (B, T, C, 5 + E)
+    state: Tensor  # of the robot, (B, T, S)
+    time_s: Tensor  # when they were seen [s], (T,)
 
     @property
     def palm(self) -> Tensor:
         """Where the palm is [m], ``(B, T, 3)``."""
         return palm_of(self.state)
+
+    def remembered(self, memory: Memory) -> Frames:
+        """Return these frames after those before, which ``memory`` keeps, as it does these."""
+        sightings, state = memory.extended("sightings", self.sightings), memory.extended("state", self.state)
+        return Frames(sightings, state, memory.extended("times", self.time_s[None])[0])
 
     def windows(self, rows: Tensor, ages_s: Tensor) -> Frames:
         """Return the frames of given ages ``(W,)`` [s] as seen from frames ``rows`` ``(B, Q)``, of ``(B * Q, W)``.
@@ -76,12 +72,12 @@ class Frames(Record):
         wanted = self.time_s[rows][..., None] - ages_s  # (B, Q, W)
         middles = (self.time_s[1:] + self.time_s[:-1]) / 2
         index = torch.searchsorted(middles, wanted.contiguous(), right=True)
-        sightings, state = (taken(x, index).flatten(0, 1) for x in (self.sightings, self.state))
+        sightings, state = (gather_frames(x, index).flatten(0, 1) for x in (self.sightings, self.state))
         first, nearest_s = wanted[0, 0], self.time_s[index[0, 0]]
         return Frames(sightings, state, torch.where(first < self.time_s[0], first, nearest_s))
 
 
-def taken(table: Tensor, frame: Tensor) -> Tensor:
+def gather_frames(table: Tensor, frame: Tensor) -> Tensor:
     """Return what tables ``(B, T, ...)`` hold for frames ``(B, Q...)``, ``(B, Q..., ...)``."""
     rows = torch.arange(len(frame), device=frame.device)
     return table[rows.view(-1, *[1] * (frame.dim() - 1)), frame]
@@ -100,17 +96,11 @@ def stepped(palm: Tensor, goal: Tensor, step_m: float) -> Tensor:
 
 @dataclass(frozen=True)
 class Outlook(Record):
-    """What decisions, ``(B, Q)``, believe.
+    """What decisions, ``(B, Q)``, believe."""
 
-    Attributes:
-        features: ``(B, Q, D)``.
-        forecast: of the target [m], ``(B, Q, K, 3)``, see `FORECAST_FRAMES`.
-        weights: of the S frames observed in the J positions that were read out, ``(B, Q, J, S)``; None without those.
-    """
-
-    features: Tensor
-    forecast: Tensor
-    weights: Tensor | None = None
+    features: Tensor  # (B, Q, D)
+    forecast: Tensor  # of the target [m], (B, Q, K, 3), see `FORECAST_FRAMES`
+    weights: Tensor | None = None  # of the S frames observed in the J positions read out, (B, Q, J, S)
 
 
 class Belief(nn.Module):
@@ -128,7 +118,8 @@ class Belief(nn.Module):
         dim, n_points, k = config.dim, config.n_points, len(FORECAST_FRAMES)
         known = [config.rig.calibration.get(key, UNCALIBRATED) for key in config.cameras]
         self.n_points = n_points
-        self._cameras = nn.ModuleList(Pinhole.from_pose(x[:7], x[7], carried=bool(x[8])) for x in known)
+        cameras = nn.ModuleList(Pinhole.from_pose(x[:7], x[7], carried=bool(x[8])) for x in known)
+        self.cameras = cast("list[Pinhole]", cameras)
         self.register_buffer("ahead_s", torch.tensor(FORECAST_FRAMES) / config.rig.fps, persistent=False)
         self.token = perceptron(3 + 6 * len(known) + n_extra, dim, dim)
         self.blocks = nn.ModuleList(TemporalBlock(dim, config.n_heads) for _ in range(config.n_layers))
@@ -143,11 +134,6 @@ class Belief(nn.Module):
         nn.init.zeros_(last.weight)
         self.bend = nn.Sequential(perceptron(dim + 3 * n_points, 256, 256), nn.SiLU(), last)
 
-    @property
-    def cameras(self) -> list[Pinhole]:
-        """The cameras."""
-        return cast("list[Pinhole]", list(self._cameras))
-
     def forward(self, frames: Frames, rows: Tensor, memory: Memory | None = None) -> Outlook:
         """Return what decisions at frames ``rows`` ``(B, Q)`` believe.
 
@@ -161,7 +147,7 @@ class Belief(nn.Module):
         seen = [scales.clamp(-6, 3) / 3, scales[..., :1].clamp_max(2).exp(), (rays / RAY_M).clamp(-FAR, FAR)]
         place = ((position - origin) / PLACE_M).clamp(-FAR, FAR)
         tokens = self.token(torch.cat([place, torch.cat(seen, dim=-1).flatten(2), extra], dim=-1))
-        age_s = time_s[:, None] - memory.extended("time", time_s, 0)  # (T, S), negative ahead
+        age_s = time_s[:, None] - memory.extended("time", time_s[None])  # (T, S), negative ahead
         for block in self.blocks:
             tokens = block(tokens, age_s, memory)
         tokens = self.norm(tokens)
@@ -204,24 +190,3 @@ def fused(eyes: Tensor, rays: Tensor, scales: Tensor) -> Tensor:
     line = einsum(sight, sight, "... i, ... j -> ... i j")
     precise = across[..., None] * (torch.eye(3, device=line.device) - line) + along[..., None] * line
     return torch.linalg.solve(precise.sum(2), (precise @ (eyes + rays)[..., None]).sum(2))[..., 0]
-
-
-class History:
-    """Frames that come a few at a time, of which a model sees as many as its config says."""
-
-    def __init__(self) -> None:
-        self._memory = Memory()
-        self._frames: Frames | None = None
-
-    def see(self, model: ObActModel, frames: Frames) -> Outlook:
-        """Return what a decision at the last of new frames, of ``(B, T)``, believes; later, B may be smaller."""
-        n, config = len(frames.state), model.config
-        if config.n_obs_frames is not None:
-            if (kept := self._frames) is not None:
-                sightings = torch.cat([kept.sightings[:n], frames.sightings], 1)
-                state = torch.cat([kept.state[:n], frames.state], 1)
-                frames = Frames(sightings, state, torch.cat([kept.time_s, frames.time_s]))
-            recent = frames.time_s[-1] - frames.time_s <= config.ages_s[0] + 1 / config.rig.fps
-            frames = self._frames = Frames(frames.sightings[:, recent], frames.state[:, recent], frames.time_s[recent])
-        row = torch.full((n, 1), len(frames.time_s) - 1, device=frames.state.device)
-        return model.encode_history(frames, row, self._memory)

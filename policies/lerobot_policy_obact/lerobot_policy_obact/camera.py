@@ -6,10 +6,8 @@ from typing import Self
 import torch
 from torch import Tensor, nn
 
-NEAREST_M = 0.01
-"""What is behind a camera counts as this far in front of it."""
-UNIT_PER_DISTANCE = 1.5
-"""Depth whose logarithm counts as 0, in distances of the camera from the palm at home."""
+NEAREST_M = 0.01  # what is behind a camera counts as this far in front of it
+UNIT_PER_DISTANCE = 1.5  # depth whose logarithm counts as 0, in distances of the camera from the palm at home
 
 
 class Pinhole(nn.Module):

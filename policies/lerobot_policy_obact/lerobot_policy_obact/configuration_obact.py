@@ -9,12 +9,12 @@ from lerobot.configs import FeatureType, NormalizationMode, PreTrainedConfig
 from lerobot.optim import AdamWConfig, CosineDecayWithWarmupSchedulerConfig
 from lerobot.policies.rtc import RTCConfig
 
+from .attention import MEMORY_FRAMES
 from .encoders import ENCODERS
 from .gr00t_head import Gr00tHead
 from .heads import ActionHead, DiffusionDenoiser, FlowDenoiser
 
-MAX_SAMPLING = 100
-"""Most steps, and most draws, of a head."""
+MAX_SAMPLING = 100  # most steps, and most draws, of a head
 HEADS: dict[str, Callable[..., Any]] = {
     "diffusion": partial(ActionHead, DiffusionDenoiser),
     "flow": partial(ActionHead, FlowDenoiser),
@@ -23,8 +23,7 @@ HEADS: dict[str, Callable[..., Any]] = {
 }
 CONTACT = "contact"
 """The rule of capture under which targets must be gripped; under all others the palm has to come near enough."""
-WINDOW_FRAMES = 5
-"""Frames before the current one that LeRobot loads where a decision is to see all."""
+WINDOW_FRAMES = 5  # frames before the current one that LeRobot loads where a decision is to see all
 
 
 @dataclass(frozen=True)
@@ -115,7 +114,8 @@ class ObActConfig(PreTrainedConfig):
         weights = ("forecast_weight", "action_weight", "closed_loop_weight")
         for name in ("relative_dims", "n_points", "n_layers", "noise_seed", *weights):
             self._require(getattr(self, name) >= 0, name, "0 or more")
-        self._require(self.n_obs_frames is None or self.n_obs_frames >= 0, "n_obs_frames", "0 or more, or null for all")
+        n, most = self.n_obs_frames, MEMORY_FRAMES // self.obs_stride
+        self._require(n is None or 0 <= n <= most, "n_obs_frames", f"0 to {most}, or null for all")
         self._require(1 <= self.n_action_steps <= self.horizon, "n_action_steps", f"1 to {self.horizon} (horizon)")
         self._require(self.dim % self.n_heads == 0, "dim", "a multiple of n_heads")
         self._require(self.encoder in ENCODERS, "encoder", f"one of {', '.join(ENCODERS)}")
@@ -147,22 +147,22 @@ class ObActConfig(PreTrainedConfig):
         return self.forecasts and self.rig.capture == CONTACT
 
     @property
+    def sees_motion(self) -> bool:
+        """Whether the encoder takes each image together with the one before."""
+        return ENCODERS[self.encoder].sees_motion
+
+    @property
     def lookback(self) -> list[int]:
         """Offsets of the frames that a window shows, oldest first [frames]."""
         n = WINDOW_FRAMES if self.n_obs_frames is None else self.n_obs_frames
         return [-i * self.obs_stride for i in range(n, -1, -1)]
 
     @property
-    def ages_s(self) -> list[float]:
-        """Ages of those frames [s]."""
-        return [-offset / self.rig.fps for offset in self.lookback]
-
-    @property
     def observation_delta_indices(self) -> list[int] | None:
         """Frames that LeRobot loads for every ``observation.*`` key; with a frozen encoder the current one alone."""
         if self.freeze_encoder:
             return None
-        pairs = (0, 1) if ENCODERS[self.encoder].sees_motion else (0,)
+        pairs = (0, 1) if self.sees_motion else (0,)
         return sorted({offset - pair for offset in self.lookback for pair in pairs})
 
     @property
@@ -173,34 +173,11 @@ class ObActConfig(PreTrainedConfig):
     @property
     def reward_delta_indices(self) -> None:
         """None: imitation learning uses no rewards."""
-        return
-
-    @property
-    def n_state(self) -> int:
-        """Numbers of the vector observations."""
-        features = self.input_features or {}
-        return sum(features[key].shape[0] for key in self.state_keys)
-
-    @property
-    def n_joints(self) -> int:
-        """Joints of the robot's state that the head reads."""
-        return self.robot_state_feature.shape[0] - self.relative_dims if self.grips and self.robot_state_feature else 0
-
-    @property
-    def n_actions(self) -> int:
-        """Numbers of an action."""
-        return self.action_feature.shape[0] if self.action_feature else 0
 
     @property
     def cameras(self) -> list[str]:
         """Keys of the images."""
         return list(self.image_features)
-
-    def options_of(self, camera: str) -> dict[str, Any]:
-        """Return the ``encoder_options`` for an image key."""
-        view = camera.rsplit(".", maxsplit=1)[-1]
-        options = self.encoder_options.items()
-        return {name: x.replace("{view}", view) if isinstance(x, str) else x for name, x in options}
 
     @property
     def state_keys(self) -> list[str]:

@@ -1,22 +1,22 @@
 """What is learned from: decisions in episodes, what should have been done, and the losses. Training only.
 
-A decision is compared with what its teacher says, who knows the future (`decision_losses`). But that cannot be imitated
-before the future can be known; and nothing in imitation tells a policy that a forecast which is wrong now will be less
-wrong in five frames. So from a frame on the palm alone is rolled out through the head, each command cut to what a palm
-does in a frame, and what counts is how near it comes to catching the target (`closed_loop_loss`). What is seen
-meanwhile stays what the hand saw that was there.
+A decision is compared with the answer of a teacher that knows the future (`decision_losses`). But nothing in imitation
+tells a policy that a forecast which is wrong now will be less wrong in five frames. So from a frame on the palm alone
+is rolled out through the head, each command cut to what a palm does in a frame, and what counts is how near it comes to
+catching the target (`closed_loop_loss`). What is seen meanwhile stays what the hand saw that was there.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from einops import rearrange, repeat
+from lerobot.utils.constants import ACTION
 from torch import Tensor
 
-from .belief import FORECAST_FRAMES, Frames, Outlook, Record, palm_of, stepped, taken
+from .belief import FORECAST_FRAMES, Frames, Outlook, Record, gather_frames, palm_of, stepped
 from .teacher import Targets, Teacher
 
 if TYPE_CHECKING:
@@ -25,29 +25,27 @@ if TYPE_CHECKING:
 
 EARLY_SHARE, EARLIEST_FRAME = 0.15, 3
 """Share of the decisions that are taken anywhere in the observation window, and the first frame at which."""
-UNREACHABLE_WEIGHT = 0.1
-"""Weight of what should be done about a target that is out of reach."""
+UNREACHABLE_WEIGHT = 0.1  # weight of what should be done about a target that is out of reach
+SPREAD = 6  # of so many times more episodes than wanted, those of similar length are taken
 MISSED_WEIGHT = 10.0
 """Weight in the loss of the distance from the place that attention picks from the forecast to the right one [1/m]."""
 
 
 @dataclass(frozen=True)
 class Episodes(Record):
-    """B episodes of T frames; one that is over repeats its last frame.
+    """B episodes of T frames; one that is over repeats its last frame."""
 
-    Attributes:
-        sightings, state, actions: of the frames, ``(B, T, ...)``.
-        count: frames of each, ``(B,)``.
-        window: frames of the observation window, ``(B,)``; 0 if there is none.
-        targets: what is known of the targets; None if nothing is.
-    """
+    sightings: Tensor  # see `Frames`, (B, T, C, 5 + E)
+    state: Tensor  # of the robot, (B, T, S)
+    actions: Tensor  # (B, T, A)
+    count: Tensor  # frames of each, (B,)
+    window: Tensor  # frames of the observation window, (B,); 0 if there is none
+    targets: Targets | None = None  # None if nothing is known of them
 
-    sightings: Tensor
-    state: Tensor
-    actions: Tensor
-    count: Tensor
-    window: Tensor
-    targets: Targets | None = None
+    def similar(self, candidates: Tensor, n: int) -> Episodes:
+        """Draw n of several times n episodes, which are of similar length and so need little padding."""
+        order = candidates[(self.count[candidates] + torch.rand(len(candidates))).argsort()]
+        return self[order.view(-1, n)[torch.randint(len(order) // n, ())]]
 
     def frames(self, rows: Tensor, fps: float) -> Frames:
         """Return the frames up to the last of ``rows``, recorded at ``fps`` [Hz]."""
@@ -56,13 +54,13 @@ class Episodes(Record):
 
     def palm(self, frame: Tensor) -> Tensor:
         """Return where the palm is in frames ``(B, Q)`` [m], ``(B, Q, 3)``."""
-        return palm_of(taken(self.state, frame.clamp_max(self.state.shape[1] - 1)))
+        return palm_of(gather_frames(self.state, frame.clamp_max(self.state.shape[1] - 1)))
 
-    def decision_rows(self, n: int, late: int) -> Tensor:
+    def decision_rows(self, n: int, delay: int) -> Tensor:
         """Draw frames at which decisions are taken, ``(B, n)``: mostly where the hand may move."""
-        last = self.count - 1 - late
+        last = self.count - 1 - delay
         if self.targets is not None:
-            last = torch.minimum(last, torch.minimum(self.targets.length - 3 - late, self.targets.free - 1))
+            last = torch.minimum(last, torch.minimum(self.targets.length - 3 - delay, self.targets.free - 1))
         last = last.clamp_min(EARLIEST_FRAME + 1)[:, None]
         start = torch.where(torch.rand(len(last), n) < EARLY_SHARE, EARLIEST_FRAME, self.window[:, None])
         start = torch.minimum(start, last - 1)
@@ -70,44 +68,38 @@ class Episodes(Record):
 
     def decisions(self, rows: Tensor, teacher: Teacher | None, config: ObActConfig) -> Decisions:
         """Return decisions at ``rows`` ``(B, Q)``: what was done there, or the teacher's answers for several palms."""
-        state, late = taken(self.state, rows)[:, :, None], config.rig.delay_frames
-        palm = self.palm(rows + late)
+        state, delay = gather_frames(self.state, rows)[:, :, None], config.rig.delay_frames
+        palm = self.palm(rows + delay)
         if self.targets is None or teacher is None:
             ahead, last = rows[..., None] + torch.arange(config.horizon), self.count[:, None, None] - 1  # (B, Q, H)
-            actions, weight = taken(self.actions, torch.minimum(ahead, last)), (ahead <= last).float()
+            actions, weight = gather_frames(self.actions, torch.minimum(ahead, last)), (ahead <= last).float()
             return Decisions(palm[:, :, None], state, actions[:, :, None], weight[:, :, None])
         targets = self.targets
-        due = torch.minimum(rows + late, targets.length[:, None] - 2)
+        due = torch.minimum(rows + delay, targets.length[:, None] - 2)
         palms = teacher.palms(targets, due, palm)
-        told = teacher.answer(targets, due, palms, config.horizon)
+        answers = teacher.answer(targets, due, palms, config.horizon)
         index = rows[..., None] + torch.tensor(FORECAST_FRAMES)
-        weight = torch.where(told.reachable, 1.0, UNREACHABLE_WEIGHT)
+        weight = torch.where(answers.reachable, 1.0, UNREACHABLE_WEIGHT)
         return Decisions(
             palm=palms,
             state=state.expand(-1, -1, palms.shape[2], -1),
-            actions=torch.cat([told.goal, teacher.joints(told.closing)], dim=-1),
+            actions=torch.cat([answers.goal, teacher.joints(answers.closing)], dim=-1),
             weight=repeat(weight, "b q m -> b q m h", h=config.horizon),
             future=Future(
                 place=targets.places(index, rows),
                 known=index < targets.length[:, None, None],
-                near=_nearness(told.frames + late, told.reachable),
+                near=_nearness(answers.frames + delay, answers.reachable),
             ),
         )
 
 
 @dataclass(frozen=True)
 class Future(Record):
-    """Where the target will be at the K times of a forecast.
+    """Where the target will be at the K times of a forecast."""
 
-    Attributes:
-        place: there [m], ``(B, Q, K, 3)``.
-        known: which of those are known, ``(B, Q, K)``.
-        near: weight of each time by how near it is to the meeting, ``(B, Q, K)``.
-    """
-
-    place: Tensor
-    known: Tensor
-    near: Tensor
+    place: Tensor  # there [m], (B, Q, K, 3)
+    known: Tensor  # which of those are known, (B, Q, K)
+    near: Tensor  # weight of each time by how near it is to the meeting, (B, Q, K)
 
     def loss(self, forecast: Tensor, ahead_s: Tensor) -> Tensor:
         """Return the loss of forecasts ``(B, Q, K, 3)`` [m] by episode, ``(B,)``; it is largest near the meeting."""
@@ -124,21 +116,13 @@ def _nearness(frames: Tensor, reachable: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class Decisions(Record):
-    """What Q decisions in each of B episodes should have been, from each of M palms.
+    """What Q decisions in each of B episodes should have been, from each of M palms."""
 
-    Attributes:
-        palm: where the palm is when the command takes effect [m], ``(B, Q, M, 3)``.
-        state: of the robot, ``(B, Q, M, S)``.
-        actions: the right ones, ``(B, Q, M, H, A)``.
-        weight: of each, 0 for padding, ``(B, Q, M, H)``.
-        future: where the target will be; None if nobody knows.
-    """
-
-    palm: Tensor
-    state: Tensor
-    actions: Tensor
-    weight: Tensor
-    future: Future | None = None
+    palm: Tensor  # where the palm is when the command takes effect [m], (B, Q, M, 3)
+    state: Tensor  # of the robot, (B, Q, M, S)
+    actions: Tensor  # the right ones, (B, Q, M, H, A)
+    weight: Tensor  # of each, 0 for padding, (B, Q, M, H)
+    future: Future | None = None  # where the target will be; None if nobody knows
 
 
 def decision_losses(model: ObActModel, outlook: Outlook, decisions: Decisions) -> dict[str, Tensor]:
@@ -161,25 +145,23 @@ def decision_losses(model: ObActModel, outlook: Outlook, decisions: Decisions) -
 
 # -- the closed loop ------------------------------------------------------------------------------------------------
 
-ROLLED_FRAMES = 24
-"""A palm is rolled out for so long."""
-LATE_SHARE = 0.5
-"""Share of the palms that start anywhere before the catch; the others start with the control phase."""
+ROLLED_FRAMES = 24  # a palm is rolled out for so long
+LATE_SHARE = 0.5  # share of the palms that start anywhere before the catch; the others start with the control phase
 RIM, SOFTNESS, FAR_M, FAR_WEIGHT = 0.9, 0.27, 0.1, 0.3
 """The loss is a smooth step at this share of the radius within which a target is caught, so wide in radii, and a part
 of the distance beyond, in this unit."""
 
 
-def rolled_rows(episodes: Episodes, late: int) -> Tensor:
+def rolled_rows(episodes: Episodes, delay: int) -> Tensor:
     """Draw the frames of the decisions through which palms are rolled out, ``(B, R)``."""
     targets = episodes.targets
     assert targets is not None
     known = torch.minimum(targets.length, episodes.count)
-    first = (episodes.window - late).clamp_min(EARLIEST_FRAME)
-    last = torch.minimum(known - 4, torch.minimum(targets.free, targets.held) - 1) - late
+    first = (episodes.window - delay).clamp_min(EARLIEST_FRAME)
+    last = torch.minimum(known - 4, torch.minimum(targets.free, targets.held) - 1) - delay
     anywhere = first + (torch.rand(len(first)) * (last - first).clamp_min(0)).long()
     start = torch.where(torch.rand(len(first)) < LATE_SHARE, anywhere, first)
-    start = torch.minimum(start, (known - 4 - late).clamp_min(EARLIEST_FRAME))
+    start = torch.minimum(start, (known - 4 - delay).clamp_min(EARLIEST_FRAME))
     return torch.minimum(start[:, None] + torch.arange(ROLLED_FRAMES), (known - 2)[:, None])
 
 
@@ -189,8 +171,8 @@ def closed_loop_loss(model: ObActModel, outlook: Outlook, episodes: Episodes, ro
     assert targets is not None
     due = rows[:, :1] + rig.delay_frames + torch.arange(rows.shape[1] + 1)  # (B, R + 1)
     known = (due[:, :-1] < torch.minimum(targets.length, episodes.count)[:, None] - 1).to(device)
-    path = taken(targets.path, torch.minimum(due, targets.length[:, None] - 1)).to(device)
-    palm, state = episodes.palm(due[:, :1])[:, 0].to(device), taken(episodes.state, rows[:, 0]).to(device)
+    path = gather_frames(targets.path, torch.minimum(due, targets.length[:, None] - 1)).to(device)
+    palm, state = episodes.palm(due[:, :1])[:, 0].to(device), gather_frames(episodes.state, rows[:, 0]).to(device)
     offsets = [palm - path[:, 0]]
     for r in range(rows.shape[1]):
         palm = stepped(palm, model.act_once(outlook[:, r], palm, state)[:, :3], rig.step_m)
@@ -201,3 +183,38 @@ def closed_loop_loss(model: ObActModel, outlook: Outlook, episodes: Episodes, ro
     least = least.where(least.isfinite(), 0.0)
     step = torch.sigmoid((least / teacher.radius_m - RIM) / SOFTNESS)
     return (step + FAR_WEIGHT * (least / FAR_M).clamp_max(2.0)) * known.any(1)
+
+
+# -- the losses of a batch ------------------------------------------------------------------------------------------
+
+
+def episode_losses(model: ObActModel, episodes: Episodes, teacher: Teacher | None) -> dict[str, Tensor]:
+    """Return the losses of encoded episodes, ``(B,)`` each; without a teacher those of the recorded actions alone."""
+    config, device = model.config, model.device
+    n, delay = config.n_decisions, config.rig.delay_frames
+    rows = episodes.decision_rows(n, delay)
+    decisions = episodes.decisions(rows, teacher, config)
+    closes = teacher is not None and config.closed_loop_weight > 0
+    rolled = rolled_rows(episodes, delay) if closes else rows[:, :0]
+    seen = torch.cat([rows, rolled], dim=1)
+    outlook = model.encode_history(episodes.frames(seen, config.rig.fps).to(device), seen.to(device))
+    losses = decision_losses(model, outlook[:, :n], decisions.to(device))
+    if teacher is not None and closes:
+        losses["closed_loop"] = closed_loop_loss(model, outlook[:, n:], episodes, rolled, teacher)
+    return losses
+
+
+def window_losses(model: ObActModel, batch: dict[str, Any]) -> dict[str, Tensor]:
+    """Return the losses of decisions at the end of LeRobot's windows of images, ``(B,)`` each."""
+    config, offsets = model.config, model.config.observation_delta_indices or []
+    at = [offsets.index(offset) for offset in config.lookback]
+    before = [offsets.index(offset - 1) for offset in config.lookback] if config.sees_motion else at
+    images = ({key: batch[key][:, index].flatten(0, 1) for key in config.cameras} for index in (at, before))
+    sightings = rearrange(model.encode_images(*images), "(b t) ... -> b t ...", t=len(at))
+    state = torch.cat([batch[key][:, at] for key in config.state_keys], dim=-1)
+    frames = Frames(sightings, state, torch.tensor(config.lookback, device=state.device) / config.rig.fps)
+    actions, padding = batch[ACTION], batch.get(f"{ACTION}_is_pad")
+    weight = torch.ones(actions.shape[:2], device=state.device) if padding is None else (~padding).float()
+    palm, now = frames.palm[:, -1:, None], frames.state[:, -1:, None]
+    decisions = Decisions(palm, now, actions[:, None, None], weight[:, None, None])
+    return decision_losses(model, model.encode_history(frames), decisions)

@@ -23,8 +23,7 @@ from .attention import SpatialAttention
 
 N_SIGHTING = 5
 """Numbers of a sighting: u, v, log depth, and the log scales of the errors across and along the line of sight."""
-UNSEEN_SCALE = 5.0
-"""Both log scales of a sighting in a black image, which shows nothing."""
+UNSEEN_SCALE = 5.0  # both log scales of a sighting in a black image, which shows nothing
 
 
 class Encoder(nn.Module):
@@ -36,8 +35,7 @@ class Encoder(nn.Module):
         mean, std: by channel, of the images that the weights expect.
     """
 
-    sees_motion: ClassVar[bool] = False
-    """Whether it takes each image together with the one before, ``(F, 6, H, W)``."""
+    sees_motion: ClassVar[bool] = False  # whether it takes each image together with the one before, ``(F, 6, H, W)``
     pixel_mean: Tensor
     pixel_std: Tensor
 
@@ -60,10 +58,8 @@ class Encoder(nn.Module):
         raise NotImplementedError
 
     def forward(self, images: Tensor) -> Tensor:
-        """Return sightings, then what describes them, ``(F, 5 + embedding)``.
-
-        Args:
-            images: RGB in [0, 1], ``(F, 3, H, W)``; ``(F, 6, H, W)`` with the image before if it ``sees_motion``.
+        """Return sightings and embeddings, ``(F, 5 + embedding)``, of images ``(F, 3, H, W)``, RGB in [0, 1], or
+        ``(F, 6, H, W)``, with those before, if it ``sees_motion``.
         """
         return self.look(images)[0]
 
@@ -116,11 +112,7 @@ class Eye(Encoder):
         )
 
     def load_pretrained(self) -> None:
-        """Load ``weights``.
-
-        Raises:
-            FileNotFoundError: if there is no such file.
-        """
+        """Load ``weights``."""
         if self.weights:
             self.load_state_dict(load_file(SHIPPED.get(self.weights, self.weights)))
 

@@ -14,8 +14,7 @@ from . import ObActPolicy
 def export(checkpoint: Path, out: Path) -> None:
     """Write the policy of a checkpoint, its processors and the config of its training, from which it no longer resumes.
 
-    In its ``config.json`` ``ema_decay`` is 0, since there is nothing left to average; ``train_config.json`` has what it
-    was trained with.
+    Its ``ema_decay`` is 0, since there is nothing left to average.
     """
     policy = ObActPolicy.from_pretrained(checkpoint).to("cpu")
     policy.config.device = "cpu"  # where every machine can load it, which that of the training need not be
@@ -23,9 +22,7 @@ def export(checkpoint: Path, out: Path) -> None:
     policy.config.pretrained_path = None  # a place on this machine
     policy.save_pretrained(out)
     on_cpu = {"device_processor": {"device": "cpu"}}
-    for processor in make_pre_post_processors(
-        policy.config, pretrained_path=str(checkpoint), preprocessor_overrides=on_cpu
-    ):
+    for processor in make_pre_post_processors(policy.config, str(checkpoint), preprocessor_overrides=on_cpu):
         processor.save_pretrained(out)
     training = checkpoint / "train_config.json"
     if training.is_file():

@@ -18,12 +18,9 @@ from einops import rearrange, repeat
 from lerobot.policies.common.flow_matching import euler_integrate
 from torch import Tensor, nn
 
-DRAWS = 2
-"""Noise levels at which each action of a batch is denoised."""
-PURE_NOISE_SHARE = 0.5
-"""Share of those at pure noise, where sampling begins."""
-LARGEST_DEVIATION = 6.0
-"""Deviations are clipped to this many scales: an outlier would teach nothing but its own size."""
+DRAWS = 2  # noise levels at which each action of a batch is denoised
+PURE_NOISE_SHARE = 0.5  # share of those at pure noise, where sampling begins
+LARGEST_DEVIATION = 6.0  # deviations are clipped to this many scales: an outlier would teach nothing but its own size
 MIN_LOG_SCALE, MAX_LOG_SCALE = -4.0, 2.0
 BETA = 0.5
 """The likelihood is weighted by the scale to this power, or what is easily predicted would count for nearly everything
@@ -133,6 +130,7 @@ class ActionHead(nn.Module):
         super().__init__()
         self.horizon, self.groups, self.n_steps, self.action_dim = horizon, groups, n_steps, sum(groups)
         self.n_draws, self.closing_quantile, self.noise_seed = n_draws, closing_quantile, noise_seed
+        self.noise_shape = horizon, self.action_dim  # of the noise that a chunk starts from
         self.base = nn.Linear(context, horizon * (self.action_dim + len(groups)))
         self.denoiser = denoiser(horizon * self.action_dim, context, width) if denoiser else None
 
@@ -155,36 +153,26 @@ class ActionHead(nn.Module):
         likelihood = errors * (-log_scale).exp() + sizes * log_scale
         likelihood = (likelihood * (BETA * log_scale).exp().detach()).mean(-1)  # (R, H)
         loss = (likelihood * weight).mean(-1)
-        if self.denoiser is not None:
-            unit = self._unit(log_scale).detach()
-            deviation = ((actions - mean.detach()) / unit).clamp(-LARGEST_DEVIATION, LARGEST_DEVIATION)
-            loss = loss + self._denoising_loss(self.denoiser, context, deviation, weight)
-        return loss
+        if self.denoiser is None:
+            return loss
+        deviation = (actions - mean.detach()) / self._unit(log_scale).detach()
+        target = repeat(deviation.clamp(-LARGEST_DEVIATION, LARGEST_DEVIATION), "r h a -> (r n) h a", n=DRAWS)
+        t = torch.rand(len(target), device=target.device)
+        t = torch.where(torch.rand_like(t) < PURE_NOISE_SHARE, 0.0, t)
+        error = self.denoiser.error(target, torch.randn_like(target), t, repeat(context, "r c -> (r n) c", n=DRAWS))
+        error = rearrange(error.square().mean(-1), "(r n) h -> r n h", n=DRAWS)
+        return loss + (error * weight[:, None]).mean((1, 2))
 
     def _unit(self, log_scale: Tensor) -> Tensor:
         """Return the scale of every entry, ``(R, H, G) -> (R, H, A)``."""
         scales = zip(log_scale.exp().split(1, dim=-1), self.groups, strict=True)
         return torch.cat([scale.expand(-1, -1, size) for scale, size in scales], dim=-1)
 
-    def _denoising_loss(self, denoiser: FlowDenoiser, context: Tensor, deviation: Tensor, weight: Tensor) -> Tensor:
-        """Return the loss of each row, ``(R,)``, of denoising deviations ``(R, H, A)``."""
-        target = repeat(deviation, "r h a -> (r n) h a", n=DRAWS)
-        t = torch.rand(len(target), device=target.device)
-        t = torch.where(torch.rand_like(t) < PURE_NOISE_SHARE, 0.0, t)
-        context = repeat(context, "r c -> (r n) c", n=DRAWS)
-        error = denoiser.error(target, torch.randn_like(target), t, context)
-        return (rearrange(error.square().mean(-1), "(r n) h -> r n h", n=DRAWS) * weight[:, None]).mean((1, 2))
-
-    @property
-    def noise_shape(self) -> tuple[int, int]:
-        """Shape of the noise that a chunk starts from, ``(H, A)``."""
-        return self.horizon, self.action_dim
-
     def sample(self, context: Tensor, frame: int) -> Tensor:
         """Sample a chunk for every context, ``(R, C) -> (R, H, A)``.
 
-        ``n_draws`` chunks start from the noise of the frame, which is counted from the start of the episode, and a
-        quantile of every entry makes one of them.
+        ``n_draws`` chunks start from the noise of the frame, counted from the start of the episode, and a quantile of
+        every entry makes one of them.
         """
         if self.denoiser is None:
             return self.regress(context)[0]

@@ -1,10 +1,9 @@
 """ObAct: encoder -> attention in space -> attention in time -> forecast -> generative action head.
 
-One observation to one action, in the order of this file: `ObActPolicy.select_action` asks for a chunk when the last one
-is used up; `ObActModel.encode_images` finds the target in the newest images (`encoders.py`, whose attention over cells
-looks for it); `ObActModel.encode_history` lets a decision attend to the frames before it and forecasts the target
-(`belief.py`); `ObActModel.condition` picks from that where to meet it; the head samples actions relative to that place
-(`heads.py`). `ObActPolicy.forward` is the only loss.
+`ObActPolicy.select_action` asks for a chunk when the last one is used up. `ObActModel.encode_images` finds the target
+in the newest images (`encoders`); `encode_history` lets a decision attend to the frames before it and forecasts the
+target (`belief`); `condition` picks from that where to meet it; the head samples actions relative to that place
+(`heads`). `ObActPolicy.forward` is the only loss.
 """
 
 from __future__ import annotations
@@ -12,9 +11,8 @@ from __future__ import annotations
 import time
 from collections import deque
 from copy import deepcopy
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self, cast
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, cast
 
 import torch
 from einops import einsum, rearrange, repeat
@@ -24,7 +22,7 @@ from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from .attention import Memory
-from .belief import FAR, FORECAST_FRAMES, Belief, Frames, History, Outlook, Record, palm_of, stepped
+from .belief import FAR, FORECAST_FRAMES, Belief, Frames, Outlook, palm_of, stepped
 from .configuration_obact import HEADS, ObActConfig
 from .encoders import ENCODERS, N_SIGHTING, Encoder
 from .heads import perceptron
@@ -32,11 +30,11 @@ from .heads import perceptron
 if TYPE_CHECKING:
     from .decisions import Episodes
     from .recordings import Recordings
+    from .teacher import Teacher
     from .virtual_episodes import VirtualEpisodes
 
 Batch = dict[str, Any]
-N_FEATURES = 64
-"""Numbers of the belief that the head reads beside the forecast."""
+N_FEATURES = 64  # numbers of the belief that the head reads beside the forecast
 
 
 class ObActModel(nn.Module):
@@ -49,29 +47,38 @@ class ObActModel(nn.Module):
 
     def __init__(self, config: ObActConfig) -> None:
         super().__init__()
+        assert config.action_feature is not None
+        assert config.input_features is not None
+        n_actions, n_relative = config.action_feature.shape[0], config.relative_dims
+        n_state = sum(config.input_features[key].shape[0] for key in config.state_keys)
         self.config = config
-        encoders = [ENCODERS[config.encoder](**config.options_of(key)) for key in config.cameras]
+        encoders = [ENCODERS[config.encoder](**_options(config.encoder_options, key)) for key in config.cameras]
         self.encoders = nn.ModuleList(encoders).requires_grad_(not config.freeze_encoder)
         self.belief = Belief(config, sum(encoder.embedding for encoder in encoders))
         self.features = nn.Linear(config.dim, N_FEATURES)
-        n_inputs = 4 * len(FORECAST_FRAMES) + config.n_joints if config.forecasts else config.n_state
+        n_inputs = n_state
+        if config.forecasts:
+            n_inputs = 4 * len(FORECAST_FRAMES) + (n_state - n_relative if config.grips else 0)
         self.trunk = nn.Sequential(perceptron(n_inputs + N_FEATURES, config.width, config.width), nn.SiLU())
         if config.forecasts:
             n_places, n_axes = (2, 3) if config.grips else (1, 1)
             self.when = nn.Linear(config.width, config.horizon * n_axes * n_places * len(FORECAST_FRAMES))
-        groups = [size for size in (config.relative_dims, config.n_actions - config.relative_dims) if size]
+        groups = [size for size in (n_relative, n_actions - n_relative) if size]
         options = {"noise_seed": config.noise_seed} | config.head_options
         self.head = HEADS[config.head](config.width, config.horizon, groups, **options)
-        for name, size in (("action", config.n_actions), ("state", config.n_state)):
+        for name, size in (("action", n_actions), ("state", n_state)):
             self.register_buffer(f"{name}_mean", torch.zeros(size))
             self.register_buffer(f"{name}_std", torch.ones(size))
 
     def adopt_stats(self, stats: dict[str, dict[str, Any]]) -> None:
         """Take over LeRobot's statistics of the dataset; actions relative to the palm have mean 0."""
-        for name, keys in (("action", ["action"]), ("state", self.config.state_keys)):
-            for moment in ("mean", "std"):
-                values = torch.cat([torch.as_tensor(stats[key][moment], dtype=torch.float32).flatten() for key in keys])
-                getattr(self, f"{name}_{moment}").copy_(values if moment == "mean" else values.clamp_min(1e-3))
+        for name, keys in (("action", [ACTION]), ("state", self.config.state_keys)):
+            mean, std = (
+                torch.cat([torch.as_tensor(stats[key][moment], dtype=torch.float32).flatten() for key in keys])
+                for moment in ("mean", "std")
+            )
+            getattr(self, f"{name}_mean").copy_(mean)
+            getattr(self, f"{name}_std").copy_(std.clamp_min(1e-3))
         self.action_mean[: self.config.relative_dims] = 0.0
 
     def load_pretrained(self) -> None:
@@ -84,32 +91,30 @@ class ObActModel(nn.Module):
         """Where its weights are."""
         return self.action_mean.device
 
-    @property
-    def sees_motion(self) -> bool:
-        """Whether the encoders take each image together with the one before."""
-        return ENCODERS[self.config.encoder].sees_motion
-
     def encode_images(self, images: dict[str, Tensor], before: dict[str, Tensor]) -> Tensor:
-        """Return what each camera saw, ``(F, C, 5 + E)``.
+        """Return what each camera saw, ``(F, C, 5 + E)``, in images ``(F, 3, H, W)``, RGB in [0, 1].
 
-        Args:
-            images: of the cameras, RGB in [0, 1], ``(F, 3, H, W)`` each.
-            before: those of the frame before, which only matter to encoders that see motion.
+        Those of the frame ``before`` only matter to encoders that see motion.
         """
-        if self.sees_motion:
+        if self.config.sees_motion:
             images = {key: torch.cat([image, before[key]], dim=1) for key, image in images.items()}
         seen = [encoder(images[key]) for encoder, key in zip(self.encoders, self.config.cameras, strict=True)]
         return torch.stack(seen, dim=1)
 
-    def encode_history(self, frames: Frames, rows: Tensor, memory: Memory | None = None) -> Outlook:
-        """Return what decisions at frames ``rows`` ``(B, Q)`` believe.
+    def encode_history(self, frames: Frames, rows: Tensor | None = None, memory: Memory | None = None) -> Outlook:
+        """Return what decisions at frames ``rows`` ``(B, Q)`` believe; without ``rows``, one at the last frame.
 
-        A decision that sees ``n_obs_frames`` frames, not all, is given a window of its own; else ``memory`` keeps those
-        that come a few at a time.
+        A decision that sees ``n_obs_frames`` frames, not all, is given a window of its own. Where frames come a few at
+        a time, ``memory`` keeps those before.
         """
-        if self.config.n_obs_frames is None:
+        windowed = self.config.n_obs_frames is not None
+        if windowed and memory is not None:
+            frames = frames.remembered(memory)
+        if rows is None:
+            rows = torch.full((len(frames.state), 1), len(frames.time_s) - 1, device=frames.state.device)
+        if not windowed:
             return self.belief(frames, rows, memory)
-        ages_s = torch.tensor(self.config.ages_s, device=rows.device)
+        ages_s = torch.tensor([-offset / self.config.rig.fps for offset in self.config.lookback], device=rows.device)
         last = rows.new_full((rows.numel(), 1), len(ages_s) - 1)
         outlook = self.belief(frames.windows(rows, ages_s), last)
         return outlook.map(lambda x: rearrange(x, "(b q) 1 ... -> b q ...", b=len(rows)))
@@ -117,14 +122,14 @@ class ObActModel(nn.Module):
     def condition(self, outlook: Outlook, palm: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """Return what the head reads, ``(R, C)``, and the places from which its actions count [m], ``(R, H, 3)``.
 
-        Those are places of the forecast: attention over its times, whose values are positions, picks the one at which
-        to meet the target. To grip it, attention picks along each axis between the forecast and the places of a palm
-        that moves along with the target. Without a forecast they are where the palm is.
+        Attention over the times of the forecast, whose values are positions, picks where to meet the target. To grip
+        it, attention picks along each axis between the forecast and the places of a palm that moves along with the
+        target. Without a forecast the actions count from the palm.
 
         Args:
             outlook: of R decisions, ``(R, ...)``.
             palm: where the palm will be when a command takes effect [m], ``(R, 3)``.
-            state: of the robot, ``(R, S)``; the head reads it only if nothing is forecast.
+            state: of the robot, ``(R, S)``; with a forecast the head reads of it the joints, to grip, or nothing.
         """
         features, forecast = nn.functional.silu(self.features(outlook.features)), outlook.forecast
         state = (state - self.state_mean) / self.state_std
@@ -134,7 +139,7 @@ class ObActModel(nn.Module):
         unit = 0.1 + 0.3 * self.belief.ahead_s
         offset = (forecast - palm[:, None]) / unit[:, None]  # (R, K, 3)
         distance = offset.norm(dim=-1).clamp_max(FAR)
-        joints = state[:, self.config.relative_dims :][:, : self.config.n_joints]
+        joints = state[:, self.config.relative_dims :] if self.config.grips else state[:, :0]
         context = self.trunk(torch.cat([offset.clamp(-FAR, FAR).flatten(1), distance, features, joints], dim=-1))
         if not self.config.grips:
             when = rearrange(self.when(context), "r (h k) -> r h k", h=self.config.horizon).softmax(-1)
@@ -151,36 +156,32 @@ class ObActModel(nn.Module):
 
     def normalise(self, actions: Tensor, origin: Tensor) -> Tensor:
         """Map actions ``(R, H, A)`` to what the head predicts; they count from ``origin`` ``(R, H, 3)``."""
-        return (actions - self._origin(origin)) / self.action_std
+        return (actions - self._offset(origin)) / self.action_std
 
     def unnormalise(self, predicted: Tensor, origin: Tensor) -> Tensor:
         """Invert `normalise`."""
-        return predicted * self.action_std + self._origin(origin)
+        return predicted * self.action_std + self._offset(origin)
 
-    def _origin(self, origin: Tensor) -> Tensor:
-        n, size = self.config.relative_dims, len(self.action_mean)
-        return torch.nn.functional.pad(origin[..., :n], (0, size - n)) + self.action_mean
+    def _offset(self, origin: Tensor) -> Tensor:
+        n = self.config.relative_dims
+        return nn.functional.pad(origin[..., :n], (0, len(self.action_mean) - n)) + self.action_mean
 
 
-@dataclass(frozen=True)
-class Thought(Record):
-    """What the newest decision of B environments saw and expects, for whoever draws it.
+def _options(options: dict[str, Any], camera: str) -> dict[str, Any]:
+    """Return the options of the encoder for an image key, whose last part is the ``{view}`` in a text."""
+    view = camera.rsplit(".", maxsplit=1)[-1]
+    return {name: x.replace("{view}", view) if isinstance(x, str) else x for name, x in options.items()}
 
-    Attributes:
-        sightings: in the newest images, by camera, ``(B, C, 5 + E)``, see `Frames`.
-        sighted: where that is [m], ``(B, C, 3)``.
-        forecast: of the target [m], ``(B, K, 3)``.
-        ahead_s: when it is expected there, from now [s], ``(K,)``.
-        meeting: where the palm is to meet it [m], ``(B, 3)``.
-        weights: of the S frames observed so far, oldest first, in J readouts, ``(B, J, S)``; None without readouts.
-    """
 
-    sightings: Tensor
-    sighted: Tensor
-    forecast: Tensor
-    ahead_s: Tensor
-    meeting: Tensor
-    weights: Tensor | None = None
+class Thought(NamedTuple):
+    """What the newest decision of B environments saw and expects, for whoever draws it."""
+
+    sightings: Tensor  # in the newest images, by camera, (B, C, 5 + E), see `Frames`
+    sighted: Tensor  # where that is [m], (B, C, 3)
+    forecast: Tensor  # of the target [m], (B, K, 3)
+    ahead_s: Tensor  # when it is expected there, from now [s], (K,)
+    meeting: Tensor  # where the palm is to meet it [m], (B, 3)
+    weights: Tensor | None  # of the S frames observed so far, oldest first, in J readouts, (B, J, S)
 
 
 class ObActPolicy(PreTrainedPolicy):
@@ -192,18 +193,12 @@ class ObActPolicy(PreTrainedPolicy):
         dataset_meta: LeRobot metadata of the training data.
         load_pretrained: whether encoders and head start from published weights, where they name any.
         **kwargs: what else LeRobot may pass, unused.
-
-    Attributes:
-        thought: the newest decision; None before the first.
-
-    Raises:
-        ValueError: if the config and the dataset do not fit, naming the option or feature.
     """
 
     config_class: ClassVar[type[ObActConfig]] = ObActConfig
     name: ClassVar[str] = "obact"
     config: ObActConfig
-    _shown: list[Tensor] | None = None  # the state and the images observed last, also before `reset`
+    _shown: list[Tensor] | None = None  # what was observed last, also before `reset`
 
     def __init__(
         self,
@@ -240,43 +235,28 @@ class ObActPolicy(PreTrainedPolicy):
 
         With a frozen encoder a sample stands for ``episodes_per_sample`` episodes: for decisions in them, and, where
         the target's path is known, for a palm that is rolled out. Else it is one decision of a window of images.
-
-        Args:
-            batch: LeRobot batch with the frames of ``observation_delta_indices`` and the actions of
-                ``action_delta_indices``.
-            reduction: "mean" for a scalar, "none" for one loss per sample, ``(B,)``.
+        ``reduction`` is "mean" for a scalar, "none" for one loss per sample, ``(B,)``.
         """
+        from .decisions import episode_losses, window_losses
+
         model, config = self.model if self.training else self.acting, self.config
-        losses = self._losses_of_episodes(model, batch) if config.freeze_encoder else _losses_of_windows(model, batch)
-        weights = {"action": config.action_weight, "forecast": config.forecast_weight, "missed": config.action_weight}
-        weights["closed_loop"] = config.closed_loop_weight
+        if config.freeze_encoder:
+            losses = episode_losses(model, *self._episodes(batch["episode_index"].flatten().cpu()))
+        else:
+            losses = window_losses(model, batch)
+        weights = {
+            "forecast": config.forecast_weight,
+            "action": config.action_weight,
+            "missed": config.action_weight,
+            "closed_loop": config.closed_loop_weight,
+        }
         total = torch.stack([weights[name] * loss for name, loss in losses.items()]).sum(0)
-        logged = dict(zip(losses, torch.stack(list(losses.values())).mean(1).tolist(), strict=True))
+        logged = {name: float(loss.mean()) for name, loss in losses.items()}
         if reduction == "none":
             return rearrange(total, "(b e) -> b e", b=len(batch[ACTION])).mean(1), logged
         return total.mean(), logged
 
-    def _losses_of_episodes(self, model: ObActModel, batch: Batch) -> dict[str, Tensor]:
-        """Return the losses by episode, ``(B,)`` each; the first call encodes the dataset."""
-        from .decisions import closed_loop_loss, decision_losses, rolled_rows
-
-        config, device = self.config, model.device
-        episodes = self._episodes(batch["episode_index"].flatten().cpu())
-        assert self.recordings is not None
-        rows = episodes.decision_rows(config.n_decisions, config.rig.delay_frames)
-        decisions = episodes.decisions(rows, self.recordings.teacher, config)
-        closes = config.forecasts and config.closed_loop_weight > 0
-        rolled = rolled_rows(episodes, config.rig.delay_frames) if closes else rows[:, :0]
-        seen = torch.cat([rows, rolled], dim=1)
-        outlook = model.encode_history(episodes.frames(seen, config.rig.fps).to(device), seen.to(device))
-        n = config.n_decisions
-        losses = decision_losses(model, outlook[:, :n], decisions.to(device))
-        if closes:
-            assert self.recordings.teacher is not None
-            losses["closed_loop"] = closed_loop_loss(model, outlook[:, n:], episodes, rolled, self.recordings.teacher)
-        return losses
-
-    def _episodes(self, named: Tensor) -> Episodes:
+    def _episodes(self, named: Tensor) -> tuple[Episodes, Teacher | None]:
         """Return the episodes that a batch names, or, in training, as many times others of those known so far."""
         from .recordings import Recordings
         from .virtual_episodes import VirtualEpisodes
@@ -286,19 +266,16 @@ class ObActPolicy(PreTrainedPolicy):
             described = self.recordings.episodes.sightings.shape[-1] > N_SIGHTING  # by what no virtual hand sees
             if self.recordings.teacher is not None and not described:
                 self.virtual = VirtualEpisodes(self.recordings, self.acting.belief.cameras)
+        recordings, n = self.recordings, len(named) * self.config.episodes_per_sample
         if not self.training:
-            return self.recordings.episodes[named]
-        self.recordings.named[named] = True  # LeRobot may select episodes and hold others out; batches tell which
-        n = len(named) * self.config.episodes_per_sample
+            return recordings.episodes[named], recordings.teacher
+        recordings.named[named] = True  # LeRobot may select episodes and hold others out; batches tell which
         if self.virtual is not None and torch.rand(()) < self.config.virtual_share:
-            return self.virtual.draw(n, self.acting)
-        return self.recordings.draw(n)
+            return self.virtual.draw(n, self.acting), recordings.teacher
+        return recordings.draw(n), recordings.teacher
 
     def update(self) -> None:
-        """Update the averaged weights; LeRobot calls this after every optimiser step.
-
-        The decay of their average grows with the updates: random first weights are soon forgotten.
-        """
+        """Update the averaged weights after an optimiser step; random first weights are soon forgotten."""
         if self.average is not None:
             n = int(self.average.n_averaged)
             self.average.multi_avg_fn = get_ema_multi_avg_fn(min(self.config.ema_decay, (1 + n) / (10 + n)))
@@ -320,20 +297,20 @@ class ObActPolicy(PreTrainedPolicy):
         return self.model if self.average is None else cast("ObActModel", self.average.module)
 
     @property
-    def _player(self) -> ObActModel:
+    def _actor(self) -> ObActModel:
         """The network that acts until the next reset, in double precision.
 
         The last digits of a network depend on the size of the batch, on threads and on the processor, and an edge that
         moves by a pixel makes them grow. Actions that are rounded to single precision do not depend on them.
         """
-        if not self._players:
-            self._players.append(deepcopy(self.acting).double() if self.config.exact else self.acting)
-        return self._players[0]
+        if not self._actors:
+            self._actors.append(deepcopy(self.acting).double() if self.config.exact else self.acting)
+        return self._actors[0]
 
     def reset(self) -> None:
         """Forget the last episode."""
-        self._players: list[ObActModel] = []  # in a list, or PyTorch would save it with the weights
-        self._history, self._outlook = History(), None
+        self._actors: list[ObActModel] = []  # in a list, or PyTorch would save it with the weights
+        self._memory, self._outlook = Memory(), None
         self._frames: deque[Frames] = deque(maxlen=2)
         self._frame = -1  # the number of the newest one
         self._began_s = self._now_s = 0.0  # when the first and the newest one were seen
@@ -341,20 +318,16 @@ class ObActPolicy(PreTrainedPolicy):
         self._stale = False  # whether the only frame is the last one of the episode before
         self._queue: deque[Tensor] = deque()
         self._sent: deque[Tensor] = deque(maxlen=self.config.rig.delay_frames + 1)
-        self.thought: Thought | None = None
+        self.thought: Thought | None = None  # the newest decision
 
     @torch.no_grad()
     def select_action(self, batch: Batch, **kwargs: Any) -> Tensor:
         """Return the next action of every environment, ``(B, A)``; call it once per control step.
 
         A frame is as old as its ``timestamp`` says, or, if the batch has none, as calls at ``rig.fps`` say.
-
-        Args:
-            batch: preprocessed observation of one step.
-            **kwargs: unused.
         """
         self.eval()
-        self._note(*self._seen(batch, self._now_s + 1 / self.config.rig.fps))
+        self._see(batch, self._now_s + 1 / self.config.rig.fps)
         if not self._queue:
             self._queue.extend(self._chunk()[:, : self.config.n_action_steps].unbind(1))
         action = self._queue.popleft()
@@ -362,17 +335,28 @@ class ObActPolicy(PreTrainedPolicy):
         return action
 
     @torch.no_grad()
+    def predict_action_chunk(self, batch: Batch, **kwargs: Any) -> Tensor:
+        """Return a whole chunk, ``(B, H, A)``; see `observe`.
+
+        The previous chunk, which real-time chunking offers as guidance, is ignored. Consecutive chunks follow from one
+        history and need none. The head's errors agree over a whole chunk, so guidance towards the first actions of the
+        previous one would keep its outdated forecast.
+        """
+        self.observe(batch)
+        return self._chunk()
+
+    @torch.no_grad()
     def observe(self, batch: Batch) -> None:
         """Add a frame to the history without acting, for callers that ask for chunks now and then.
 
-        A caller that asks faster than the robot's clock ticks, as LeRobot's real-time chunking does, hands over a frame
-        twice: it counts once. One that asks late hands over a frame of the last tick: the wall clock counts in ticks.
+        A frame is as old as its ``timestamp`` says, or, if the batch has none, as the wall clock says, in ticks of
+        ``rig.fps``. LeRobot's real-time chunking hands over a frame twice if it asks faster than that: it counts once.
         After `reset` it hands over the last frame of the previous episode, which is forgotten when another one comes.
         """
         self.eval()
-        images, state, now_s = self._seen(batch, time.monotonic())
+        now_s = time.monotonic()
         if "timestamp" not in batch:
-            shown, old = [state, *images.values()], self._shown
+            shown, old = [batch[key].clone() for key in (*self.config.state_keys, *self.config.cameras)], self._shown
             same = old is not None and all(map(torch.equal, shown, old))
             if same and self._frames:
                 return
@@ -383,59 +367,29 @@ class ObActPolicy(PreTrainedPolicy):
                 fps = self.config.rig.fps
                 ticks = round((now_s - self._began_s) * fps)
                 now_s = max(self._began_s + ticks / fps, self._now_s + 1 / fps)
-        self._note(images, state, now_s)
+        self._see(batch, now_s)
 
-    @torch.no_grad()
-    def predict_action_chunk(self, batch: Batch, **kwargs: Any) -> Tensor:
-        """Return a whole chunk, ``(B, H, A)``.
-
-        The history counts seconds: a frame is as old as its ``timestamp`` says, or, if the batch has none, as the
-        wall clock says. So a server that asks for one chunk after the other sees the past as it was.
-
-        Args:
-            batch: preprocessed observation of one step.
-            **kwargs: unused, such as the previous chunk that real-time chunking offers as guidance. Consecutive chunks
-                follow from one history and need none. The head's errors agree over a whole chunk, so guidance towards
-                the first actions of the previous chunk would keep its outdated forecast.
-        """
-        self.observe(batch)
-        return self._chunk()
-
-    def _seen(self, batch: Batch, time_s: float) -> tuple[dict[str, Tensor], Tensor, float]:
-        """Return the images and the vector observations of a batch, in the precision of the network, and when they were
-        seen [s], which is ``time_s`` if the batch does not say.
-        """
-        like = self._player.action_mean
-        images = {key: batch[key].to(like) for key in self.config.cameras}
-        state = torch.cat([batch[key] for key in self.config.state_keys], dim=-1).to(like)
-        return images, state, float(batch["timestamp"].flatten()[0]) if "timestamp" in batch else time_s
-
-    def _note(self, images: dict[str, Tensor], state: Tensor, time_s: float) -> None:
-        """Encode the newest frame, seen at ``time_s``, and keep it.
-
-        Raises:
-            ValueError: if the number of environments changed since `reset`.
-        """
-        model = self._player
-        if self._frames and len(self._frames[-1].state) != len(state):
-            raise ValueError(
-                f"the batch changed from {len(self._frames[-1].state)} to {len(state)} environments: call "
-                "policy.reset() between rollouts."
-            )
-        self._now_s = time_s
+    def _see(self, batch: Batch, time_s: float) -> None:
+        """Encode the newest frame and keep it; it was seen at ``time_s`` if the batch does not say when."""
+        model, config = self._actor, self.config
+        images = {key: batch[key].to(model.action_mean) for key in config.cameras}
+        state = torch.cat([batch[key] for key in config.state_keys], dim=-1).to(model.action_mean)
+        if self._frames and (n := len(self._frames[-1].state)) != len(state):
+            raise ValueError(f"the batch changed from {n} to {len(state)} environments: call policy.reset() between.")
+        self._now_s = float(batch["timestamp"].flatten()[0]) if "timestamp" in batch else time_s
         if not self._frames:
-            self._began_s = time_s  # single precision keeps differences of such times, not times of day
+            self._began_s = self._now_s  # single precision keeps differences of such times, not times of day
+        elapsed_s = round(self._now_s - self._began_s, 4)  # the same by timestamps in single precision as by counting
         sightings = model.encode_images(images, before=self._images or images)
         self._images = images
-        elapsed_s = round(time_s - self._began_s, 4)  # the same by timestamps in single precision as by counting
         self._frames.append(Frames(sightings[:, None], state[:, None], state.new_tensor([elapsed_s])))
         self._frame += 1
-        self._outlook = self._history.see(model, self._frames[-1])
+        self._outlook = model.encode_history(self._frames[-1], memory=self._memory)
 
     def _chunk(self) -> Tensor:
         """Return the chunk for the newest frame, ``(B, H, A)``."""
         assert self._outlook is not None
-        model, frame, outlook = self._player, self._frames[-1], self._outlook[:, 0]
+        model, frame, outlook = self._actor, self._frames[-1], self._outlook[:, 0]
         context, origin = model.condition(outlook, self._due(), frame.state[:, 0])
         eyes, rays = model.belief.sighted(frame)
         seen, sighted = frame.sightings[:, 0], (eyes + rays)[:, 0]
@@ -459,11 +413,11 @@ class ObActPolicy(PreTrainedPolicy):
         executed, *coming = self._sent
         if len(coming) < rig.delay_frames:
             return palm
-        told = (stepped(before, executed, rig.step_m) - before).norm(dim=-1)
-        heeds, due = (palm - before).norm(dim=-1) > 0.5 * told, palm
+        commanded_m = (stepped(before, executed, rig.step_m) - before).norm(dim=-1)
+        moves, due = (palm - before).norm(dim=-1) > 0.5 * commanded_m, palm
         for goal in coming:
             due = stepped(due, goal, rig.step_m)
-        return torch.where(heeds[:, None], due, palm)
+        return torch.where(moves[:, None], due, palm)
 
     # -- real-time chunking, adapters, checkpoints ----------------------------------------------------------------
 
@@ -489,23 +443,3 @@ class ObActPolicy(PreTrainedPolicy):
 
     def _get_default_peft_targets(self) -> dict[str, Any]:
         return {"target_modules": r"model\.belief\.blocks\..*\.(qkv|out)", "modules_to_save": []}
-
-
-def _losses_of_windows(model: ObActModel, batch: Batch) -> dict[str, Tensor]:
-    """Return the losses of decisions at the end of windows of images, ``(B,)`` each."""
-    from .decisions import Decisions, decision_losses
-
-    config, offsets = model.config, model.config.observation_delta_indices or []
-    at = [offsets.index(offset) for offset in config.lookback]
-    before = [offsets.index(offset - 1) for offset in config.lookback] if model.sees_motion else at
-    images = ({key: batch[key][:, index].flatten(0, 1) for key in config.cameras} for index in (at, before))
-    seen = model.encode_images(*images)
-    state = torch.cat([batch[key][:, at] for key in config.state_keys], dim=-1)
-    time_s = torch.tensor(config.lookback, device=state.device) / config.rig.fps
-    frames = Frames(rearrange(seen, "(b t) ... -> b t ...", t=len(at)), state, time_s)
-    rows = torch.full((len(state), 1), len(at) - 1, device=state.device)
-    actions, padding = batch[ACTION], batch.get(f"{ACTION}_is_pad")
-    weight = torch.ones(actions.shape[:2], device=state.device) if padding is None else (~padding).float()
-    palm, now = frames.palm[:, -1:, None], frames.state[:, -1:, None]
-    decisions = Decisions(palm, now, actions[:, None, None], weight[:, None, None])
-    return decision_losses(model, model.encode_history(frames, rows), decisions)

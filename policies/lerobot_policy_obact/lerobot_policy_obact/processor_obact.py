@@ -5,5 +5,4 @@ The config asks for no normalisation: the policy works in metres and radians.
 
 from lerobot.processor.factory import make_default_pre_post_processors
 
-make_obact_pre_post_processors = make_default_pre_post_processors
-"""What LeRobot looks up by this name."""
+make_obact_pre_post_processors = make_default_pre_post_processors  # what LeRobot looks up by this name

@@ -1,54 +1,43 @@
 """What a hand should do about a target whose path is known, wherever its palm is. Training only.
 
-A recorded episode shows one hand on its way to one target. What is believed about the target does not depend on where
-the palm is, so each decision is taken from several palms at once, and a teacher, a function of the state, answers for
-all of them: `Teacher` where the palm has to come near enough, `Grip` where the fingers must hold the target.
+What is believed about a target does not depend on where the palm is, so each decision is taken from several palms at
+once, and a teacher answers for all of them: `Teacher` where the palm has to come near enough, `Grip` where the fingers
+must hold the target.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from einops import repeat
 from torch import Tensor
 
-from .belief import Record, taken
+from .belief import Record, gather_frames
 
-NEAREST_M, FARTHEST_M = 0.004, 0.15
-"""Least and greatest standard deviation by which palms are moved, along each axis."""
-LONGEST_FRAMES = 100
-"""A teacher looks this far ahead for a meeting."""
-CLOSED_FRAMES, CLOSING_FRAMES = 24, 8
-"""Fingers are closed this long before the meeting, and take this long to close."""
+NEAREST_M, FARTHEST_M = 0.004, 0.15  # least and greatest standard deviation by which palms are moved, along each axis
+LONGEST_FRAMES = 100  # a teacher looks this far ahead for a meeting
+CLOSED_FRAMES, CLOSING_FRAMES = 24, 8  # fingers are closed this long before the meeting, and take this long to close
 PLANNED_SPEED = 0.85
 """Share of the palm's speed limit that it plans with where that suffices: a palm that needs all of it comes too late
 whenever the forecast was wrong."""
 SLACK = 0.5
 """Within this share of the radius the palm has met the target. Without it, a hand that trails a slightly faster target
 heads for a distant meeting instead of closing the last centimetres."""
-STILL_FRAMES = 4
-"""Fingers that must grip take this long to close, and until then the palm must stay with the target."""
+NEVER = 1 << 20  # the frame of what does not happen
+STILL_FRAMES = 4  # fingers that must grip take this long to close, and until then the palm must stay with the target
 
 
 @dataclass(frozen=True)
 class Targets(Record):
-    """Where the targets of B episodes are.
+    """Where the targets of B episodes are."""
 
-    Attributes:
-        path: of the untouched target [m], ``(B, F, 3)``.
-        length: known frames of that, ``(B,)``.
-        free: frames in which there is something to decide: until the hand has the target, or a little longer, ``(B,)``.
-        carried: the path with what the hand does to the target [m], ``(B, F, 3)``.
-        held: the frame from which on the hand holds the target, ``(B,)``.
-    """
-
-    path: Tensor
-    length: Tensor
-    free: Tensor
-    carried: Tensor
-    held: Tensor
+    path: Tensor  # of the untouched target [m], (B, F, 3)
+    length: Tensor  # known frames of that, (B,)
+    free: Tensor  # frames in which there is something to decide: until the catch, or a little longer, (B,)
+    carried: Tensor  # the path with what the hand does to the target [m], (B, F, 3)
+    held: Tensor  # the frame from which on the hand holds the target, (B,)
 
     def is_held(self, frame: Tensor) -> Tensor:
         """Return whether targets are in the hand in frames ``(B, Q)``."""
@@ -61,45 +50,29 @@ class Targets(Record):
         """
         index = torch.minimum(frame, self.length[:, None, None] - 1)
         held = self.is_held(seen_from)[..., None, None]
-        return torch.where(held, taken(self.carried, index), taken(self.path, index))
+        return torch.where(held, gather_frames(self.carried, index), gather_frames(self.path, index))
 
 
-@dataclass(frozen=True)
-class Answers:
-    """What palms ``(B, Q, M)`` should do in the next H frames.
+class Answers(NamedTuple):
+    """What palms ``(B, Q, M)`` should do in the next H frames."""
 
-    Attributes:
-        goal: where to go [m], ``(B, Q, M, H, 3)``.
-        closing: how far the fingers should be closed, 0 open, 1 closed, ``(B, Q, M, H)``.
-        frames: about how many are left until the meeting, ``(B, Q, M)``.
-        reachable: whether the palm can be there in time, ``(B, Q, M)``.
-    """
-
-    goal: Tensor
-    closing: Tensor
-    frames: Tensor
-    reachable: Tensor
+    goal: Tensor  # where to go [m], (B, Q, M, H, 3)
+    closing: Tensor  # how far the fingers should be closed, 0 open, 1 closed, (B, Q, M, H)
+    frames: Tensor  # about how many are left until the meeting, (B, Q, M)
+    reachable: Tensor  # whether the palm can be there in time, (B, Q, M)
 
 
 @dataclass(frozen=True)
 class Teacher:
-    """Be where the target comes within a radius of the palm: at the earliest point of its path that is in reach.
+    """Be where the target comes within a radius of the palm: at the earliest point of its path that is in reach."""
 
-    Attributes:
-        fps: frame rate [Hz].
-        step_m: how far a palm gets in a frame [m].
-        open_joints, closed_joints: of the hand [rad], ``(J,)``.
-        radius_m: a target is caught where `misses` returns less [m].
-    """
+    fps: float  # frame rate [Hz]
+    step_m: float  # how far a palm gets in a frame [m]
+    open_joints: Tensor  # of the hand [rad], (J,)
+    closed_joints: Tensor  # of the hand [rad], (J,)
+    radius_m: float  # a target is caught where `misses` returns less [m]
 
-    fps: float
-    step_m: float
-    open_joints: Tensor
-    closed_joints: Tensor
-    radius_m: float
-
-    carries: ClassVar[bool] = False
-    """Whether a target that is caught goes where the hand goes, and there is still something to decide."""
+    carries: ClassVar[bool] = False  # whether a caught target goes where the hand goes, which is still to be decided
 
     def answer(self, targets: Targets, due: Tensor, palms: Tensor, horizon: int) -> Answers:
         """Return what to do with palms ``(B, Q, M, 3)`` [m] in frames ``due`` ``(B, Q)``.

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import torch
 from lerobot_policy_obact.belief import stepped
-from lerobot_policy_obact.recordings import GRIP_M, NEVER
-from lerobot_policy_obact.teacher import Grip, Targets
+from lerobot_policy_obact.recordings import GRIP_M
+from lerobot_policy_obact.teacher import NEVER, Grip, Targets
 
 from dynahoi_lerobot.core.agent import WorldState
 from dynahoi_lerobot.experts import EXPERTS

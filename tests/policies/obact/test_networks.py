@@ -111,7 +111,7 @@ def test_frames_come_as_many_as_wanted_at_a_time_and_an_episode_may_be_over():
 def test_of_all_frames_the_latest_are_remembered():
     memory, kept = Memory(), []
     for i in range(3 * MEMORY_FRAMES):
-        kept = memory.extended("time", torch.tensor([i]), 0).tolist()
+        kept = memory.extended("time", torch.tensor([[i]]))[0].tolist()
     assert kept == list(range(2 * MEMORY_FRAMES - 1, 3 * MEMORY_FRAMES))
 
 

@@ -13,6 +13,7 @@ import pytest
 import torch
 from accelerate.state import AcceleratorState
 from lerobot.async_inference.configs import PolicyServerConfig
+from lerobot.async_inference.constants import SUPPORTED_POLICIES
 from lerobot.async_inference.helpers import RemotePolicyConfig, TimedObservation
 from lerobot.async_inference.policy_server import PolicyServer
 from lerobot.configs import FeatureType, PolicyFeature
@@ -21,15 +22,13 @@ from lerobot.policies import make_pre_post_processors
 from lerobot.policies.rtc import RTCConfig
 from lerobot.rollout.inference.rtc import supports_rtc_inference
 from lerobot.scripts.lerobot_train import main
-from lerobot_policy_obact import ObActConfig, ObActPolicy
+from lerobot_policy_obact import ObActConfig, ObActPolicy, launch_policy_server, recordings
 from lerobot_policy_obact.configuration_obact import Rig
 from lerobot_policy_obact.decisions import Episodes, closed_loop_loss, decision_losses, rolled_rows
 from lerobot_policy_obact.encoders import SHIPPED
 from lerobot_policy_obact.export import export
-from lerobot_policy_obact.launch_policy_server import allow_obact
 from lerobot_policy_obact.modeling_obact import ObActModel
-from lerobot_policy_obact.recordings import NEVER
-from lerobot_policy_obact.teacher import Grip, Targets, Teacher
+from lerobot_policy_obact.teacher import NEVER, Grip, Targets, Teacher
 from lerobot_policy_obact.virtual_episodes import SightingErrors
 from safetensors.torch import load_file
 from torch._subclasses.fake_tensor import FakeTensorMode
@@ -127,6 +126,13 @@ def test_it_trains_on_a_dataset_that_is_not_ours(head, options, push_root, tmp_p
     assert policy.config.rig.fps == FPS
     assert not policy.config.forecasts
     assert policy.select_action(step(policy)).isfinite().all()
+
+
+def test_images_in_tables_are_those_that_lerobot_reads(push_root):
+    dataset = LeRobotDataset("local/tiny", root=push_root)
+    first, second = recordings._images(dataset.meta, "observation.image", [N_FRAMES] * N_EPISODES)
+    assert first[3].equal(dataset[3]["observation.image"])
+    assert second[5].equal(dataset[N_FRAMES + 5]["observation.image"])
 
 
 def test_it_learns_from_recorded_episodes_with_the_target_s_path(hand_root, tmp_path, monkeypatch):
@@ -294,8 +300,8 @@ def test_it_learns_from_no_episode_that_lerobot_holds_out(virtual_share, hand_ro
 def test_fingers_that_need_not_grip_hide_nothing_in_recorded_and_virtual_frames(hand_root, tmp_path, monkeypatch):
     monkeypatch.setattr("lerobot_policy_obact.recordings.HF_LEROBOT_HOME", tmp_path)
     monkeypatch.setattr("lerobot_policy_obact.virtual_episodes.POOL", 1)
-    shown, follow = [], SightingErrors.next
-    monkeypatch.setattr(SightingErrors, "next", lambda self, *told: shown.append(told[1]) or follow(self, *told))
+    shown, applied = [], SightingErrors.applied
+    monkeypatch.setattr(SightingErrors, "applied", lambda self, true: shown.append(true) or applied(self, true))
     policy = learner(hand_root, virtual_share=1.0)
     policy({"episode_index": torch.arange(4), "action": torch.zeros(4, 4, 18)})
     assert (policy.virtual.errors[0].true[:, 3] == 0).all()
@@ -426,6 +432,17 @@ def test_frames_that_were_dropped_count_as_time_that_passed():
     torch.testing.assert_close(torch.stack(by_the_clock), torch.stack(with_drops), atol=1e-4, rtol=0)
 
 
+def test_a_window_reaches_back_over_frames_that_were_dropped():
+    policy = varied(n_obs_frames=5)
+
+    def later(first: int) -> torch.Tensor:
+        policy.reset()
+        policy.select_action(step(policy, seed=first) | {"timestamp": torch.tensor([0.0])})
+        return policy.select_action(step(policy, seed=9) | {"timestamp": torch.tensor([0.35])})
+
+    assert not torch.equal(later(1), later(2))
+
+
 def test_frames_are_ticks_of_the_robots_clock_however_often_and_late_a_caller_asks(monkeypatch):
     policy = varied(n_obs_frames=None)
     clock = chain([100.0, 100.02, 100.06, 100.09, 100.16], repeat(0.0))  # ticks 0, 0, 1, 2 and 3
@@ -506,13 +523,13 @@ def test_lerobot_s_policy_server_serves_it(tmp_path: Path):
     policy.save_pretrained(tmp_path)
     for processor in make_pre_post_processors(policy.config):
         processor.save_pretrained(tmp_path)
-    allow_obact()
     joints = [f"joint_{i}" for i in range(18)]
     features = {
         "observation.state": {"dtype": "float32", "shape": (18,), "names": joints},
         "observation.images.ego": {"dtype": "image", "shape": (32, 32, 3), "names": ["h", "w", "c"]},
     }
     specs = RemotePolicyConfig("obact", str(tmp_path), features, actions_per_chunk=3, device="cpu")
+    assert "obact" in SUPPORTED_POLICIES, f"{launch_policy_server} adds it"
     server, client = PolicyServer(PolicyServerConfig()), SimpleNamespace(peer=lambda: "test")
     server.Ready(None, client)
     server.SendPolicyInstructions(SimpleNamespace(data=pickle.dumps(specs)), client)
@@ -528,7 +545,7 @@ def test_lerobot_s_policy_server_serves_it(tmp_path: Path):
     [
         ({"encoder": "camera"}, "encoder is 'camera', but must be one of eye, conv"),
         ({"head": "arm"}, "head is 'arm', but must be one of diffusion, flow, regression, gr00t"),
-        ({"n_obs_frames": -1}, "n_obs_frames is -1, but must be 0 or more"),
+        ({"n_obs_frames": -1}, "n_obs_frames is -1, but must be 0 to 200"),
         ({"relative_dims": 19}, "relative_dims is 19, but must be 0 to 18"),
         ({"n_action_steps": 9}, "n_action_steps is 9, but must be 1 to 4"),
         ({"head_options": {"n_steps": 10**6}}, "head_options.n_steps is 1000000, but must be 1 to 100"),

@@ -1,4 +1,4 @@
-"""The cache of encoded images: whatever is wrong with it costs a warning and encoding again."""
+"""Images are those that LeRobot reads; what is wrong with the cache of encoded ones costs a warning."""
 
 import os
 from collections.abc import Callable, Iterator
@@ -7,8 +7,8 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from lerobot.datasets import LeRobotDatasetMetadata
-from lerobot.datasets.video_utils import decode_video_frames
+from lerobot.datasets import LeRobotDataset
+from lerobot.datasets.video_utils import FrameTimestampError
 from lerobot_policy_obact import ObActConfig, recordings
 from lerobot_policy_obact.modeling_obact import ObActModel
 from safetensors.torch import save_file
@@ -28,7 +28,7 @@ def encode(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tor
     def images(meta: object, key: str, lengths: list[int]) -> Iterator[torch.Tensor]:
         for length in lengths:
             calls.append(length)
-            yield torch.zeros(length, 3, 32, 32, dtype=torch.uint8)
+            yield torch.zeros(length, 3, 32, 32)
 
     monkeypatch.setattr(recordings, "_images", images)
 
@@ -42,17 +42,15 @@ def encode(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tor
 
 
 def test_every_image_is_the_one_that_lerobot_reads(dataset: Path):
-    meta = LeRobotDatasetMetadata("local/ours", root=dataset)
-    lengths, key = list(meta.episodes["length"]), meta.video_keys[0]
-    for i, images in enumerate(recordings._images(meta, key, lengths)):
-        start_s = meta.episodes[i][f"videos/{key}/from_timestamp"]
-        times_s = [start_s + t / meta.fps for t in range(lengths[i])]
-        file = dataset / meta.get_video_file_path(i, key)
-        expected = decode_video_frames(file, times_s, 0.5 / meta.fps, backend="pyav", return_uint8=True)
-        assert images.equal(expected)
+    lerobot = LeRobotDataset("local/ours", root=dataset, video_backend="pyav")
+    key, lengths = lerobot.meta.video_keys[0], list(lerobot.meta.episodes["length"])
+    found = torch.cat(list(recordings._images(lerobot.meta, key, lengths)))
+    assert len(found) == len(lerobot)
+    for i in (0, 1, lengths[0], len(lerobot) - 1):
+        assert found[i].equal(lerobot[i][key])
     lengths[-1] += 1
-    with pytest.raises(ValueError, match=f"lacks images of episode {len(lengths) - 1}, of {lengths[-1]} frames"):
-        list(recordings._images(meta, key, lengths))
+    with pytest.raises(FrameTimestampError):
+        list(recordings._images(lerobot.meta, key, lengths))
 
 
 def cached(folder: Path) -> Path:
