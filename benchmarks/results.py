@@ -161,7 +161,8 @@ def figures(folder: Path, minutes: float, reference: Path | None = None) -> dict
     stages = Counter(row["stage"] for row in results.rows)
     ends = {name: sum(map(stages.__getitem__, parts)) / stages.total() for name, parts in ENDS.items()}
     metrics |= {name: {"value": share, "unit": "fraction"} for name, share in ends.items()}
-    paired = {"paired": asdict(compare(results, read_results(reference), "S_loc"))} if reference else {}
+    difference = compare(results, read_results(reference), "S_loc") if reference else None
+    paired = {"paired": asdict(difference)} if difference else {}
     ran = provenance() | {"command": results.info.command, "benchmark": pinned_benchmark(), WEIGHTS: weights}
     return told | ran | {"minutes": minutes, "metrics": metrics, "by_category": by_category} | paired
 
