@@ -49,8 +49,8 @@ TASK_DONE = "metrics so far:"
 """What the environment prints after each kind of motion."""
 STEPS_DONE, LOG_STEPS = " step:", 5
 """What `lerobot-train` prints, and every how many steps."""
-ONE_THREAD = {"OMP_NUM_THREADS": "1"}
-"""For torch, beside threads that decode images and a second process, on two cores."""
+THREADS = {"train": 2, "eval": 1}
+"""Of torch: a training step takes 0.56 s on two cores instead of 0.79 s. Clips are recorded beside the evaluation."""
 POLICY = "obact"
 """Name of the trained policy's results."""
 
@@ -129,7 +129,7 @@ def _dynahoi(log: Path, *words: object) -> None:
     with log.open("w", encoding="utf-8") as file:
         command = [sys.executable, "-m", "dynahoi_lerobot.cli.main", *map(str, words)]
         if code := subprocess.run(
-            command, stdout=file, stderr=subprocess.STDOUT, env=os.environ | ONE_THREAD, check=False
+            command, stdout=file, stderr=subprocess.STDOUT, env=_threads(1), check=False
         ).returncode:
             raise CommandError(f"dynahoi {words[0]} exited with code {code}; see {log}")
 
@@ -202,7 +202,7 @@ def run_lerobot(command: str, arguments: list[str], log: Path, step: str, bar: t
         [sys.executable, "-m", f"lerobot.scripts.lerobot_{command}", *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
-        env=os.environ | ONE_THREAD,
+        env=_threads(min(THREADS[command], cores())),
         encoding="utf-8",
         errors="replace",
     )
@@ -214,6 +214,11 @@ def run_lerobot(command: str, arguments: list[str], log: Path, step: str, bar: t
             bar.update(step in line)
         bar.refresh()  # the last lines come in a burst, of which tqdm shows the first alone
     return process.returncode
+
+
+def _threads(count: int) -> dict[str, str]:
+    """Return the environment of a process in which torch uses so many threads."""
+    return os.environ | {"OMP_NUM_THREADS": str(count)}
 
 
 def _film(out: Path, count: int) -> Path:
