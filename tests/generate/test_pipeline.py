@@ -67,9 +67,7 @@ def test_corrupt_recordings_are_rejected_and_drawn_again(tmp_path):
 def test_an_impossible_recipe_ends_with_a_sentence(tmp_path):
     with pytest.raises(CommandError, match=f"failed {MAX_DRAWS} times on each of 3 slots, the first of seed 0"):
         generate(plan(hopeless=True), tmp_path / "d", record=recorder.record)
-    assert not (tmp_path / "d").exists()
-    with pytest.raises(FileExistsError, match="hopeless"):  # its unfinished work belongs to another plan
-        generate(plan(), tmp_path / "d", record=recorder.record)
+    assert not any(tmp_path.iterdir()), "what made nothing leaves no folder that blocks another plan"
 
 
 @pytest.mark.slow
