@@ -1,7 +1,7 @@
 """What commands share: their failure, types of arguments, and the parser that a dataclass of options describes."""
 
 from argparse import SUPPRESS, ArgumentParser, ArgumentTypeError
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import MISSING, field, fields
 from pathlib import Path
@@ -121,3 +121,10 @@ def read_options(cls: type, given: Mapping[str, Any]) -> Any:
     parts = {entry.name: entry.metadata["part"]["only"] for entry in fields(cls) if "part" in entry.metadata}
     inner = {name: {key: value for key, value in given.items() if key in only} for name, only in parts.items()}
     return cls(**values, **inner)
+
+
+def refuse_given(options: Any, names: Iterable[str], remedy: str) -> None:
+    """Raise a ValueError, which ends in ``remedy``, for the first of the named options that has not its default."""
+    for name in names:
+        if getattr(options, name) != getattr(type(options), name):
+            raise ValueError(f"--{name.replace('_', '-')} {remedy}")

@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.core.agent import Actor, Agent, ChunkAgent
-from dynahoi_lerobot.core.arguments import given_of, number, option, whole
+from dynahoi_lerobot.core.arguments import given_of, number, option, refuse_given, whole
 from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, TRUTH
@@ -110,9 +110,8 @@ def run(options: Options) -> int:
         return replay_results.run(options.replay, options.rules.get("salt", ""), options.episodes, options.replay_seed)
     if options.gifs and not options.out:
         raise ValueError(f"--gifs {options.gifs} needs --out, the folder to write them to")
-    for name in FOR_VLM:
-        if options.policy != VLM and getattr(options, name) != getattr(Options, name):
-            raise ValueError(f"--{name.replace('_', '-')} is for --policy vlm, not {options.policy}")
+    if options.policy != VLM:
+        refuse_given(options, FOR_VLM, f"is for --policy {VLM}, not {options.policy}")
     inference = Inference(options.inference, options.inference_ms)
     actor = _real_time(_actor(options), inference)
     rules = playing_rules(options.rules, actor)

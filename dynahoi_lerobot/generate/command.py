@@ -12,7 +12,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from dynahoi_lerobot.core.arguments import given_of, number, option, whole
+from dynahoi_lerobot.core.arguments import given_of, number, option, refuse_given, whole
 from dynahoi_lerobot.core.files import check_output
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import FileLimits, check_root
@@ -77,11 +77,8 @@ def run(options: Options, *, record: Record | None = None, recipe: Recipe | None
     check_output(options.root)
     check_root(options.root)
     complete = options.root.exists()
-    for name in FOR_EXECUTORS:
-        if options.executor is None and getattr(options, name) != getattr(Options, name):
-            raise ValueError(
-                f"--{name.replace('_', '-')} needs --executor {', '.join(EXECUTORS[:-1])} or {EXECUTORS[-1]}"
-            )
+    if options.executor is None:
+        refuse_given(options, FOR_EXECUTORS, f"needs --executor {', '.join(EXECUTORS[:-1])} or {EXECUTORS[-1]}")
     recipe, runs_on = recipe or load_recipe(options.recipe), ""
     if options.actor is not None:
         recipe, record, runs_on = _on_policy(options.actor, options, recipe)
