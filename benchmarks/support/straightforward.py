@@ -121,8 +121,8 @@ class StraightforwardEnv(gym.Env):
         return pose, self.data.qvel[dof : dof + 6].copy()
 
     def _observe(self) -> dict:
-        return {
-            "pixels": {"ego": self.render()},
+        images = {"pixels": {"ego": self.render()}} if self.recipe.image_size else {}
+        return images | {
             "agent_pos": (self.data.qpos[self._scene.hand_qpos] - self.origin).astype(np.float32),
             "phase": one_hot_phase(np.array(self.frame >= self.episode.window_frames)),
         }

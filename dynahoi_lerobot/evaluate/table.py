@@ -65,11 +65,12 @@ class Table:
 def results_table(results: Sequence[Results]) -> str:
     """Return a column for each evaluation, or, if there are many, a line, each metric with its interval.
 
-    What all of them share is in the first line.
+    What all of them share is in the first line; an asterisk marks the privileged.
     """
-    names = [result.marked(result.info.policy) for result in results]
+    names = [result.info.policy + "*" * result.privileged for result in results]
     table = metrics_table(names, results, columns_for(results))
-    return (table.turned() if len(results) <= MOST_COLUMNS else table).as_text()
+    text = (table.turned() if len(results) <= MOST_COLUMNS else table).as_text()
+    return text + "\n* privileged: knows the simulator's state" * any(result.privileged for result in results)
 
 
 def metrics_table(labels: Sequence[str], results: Sequence[Results], columns: Sequence[str]) -> Table:
