@@ -13,7 +13,9 @@ from lerobot.teleoperators import make_teleoperator_from_config
 from lerobot.utils.errors import DeviceNotConnectedError
 from lerobot_robot_dynahoi import DynahoiBrowserConfig, DynahoiExpertConfig, DynahoiRobot, DynahoiRobotConfig
 
+from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.evaluate.results import read_results
+from dynahoi_lerobot.play.scores import Scores
 
 FRAME_S = 0.05
 
@@ -114,6 +116,23 @@ def test_the_next_episode_begins_when_lerobot_comes_back_from_a_pause():
     robot.get_observation()
     assert robot.world.spec.seed != first
     assert robot.world.finished is None
+
+
+def test_writing_the_results_of_an_episode_is_no_pause_of_lerobots(monkeypatch: pytest.MonkeyPatch):
+    clock, add = Clock(), Scores.add
+
+    def add_slowly(scores: Scores, episode: Episode) -> None:
+        clock.now_s += 0.4
+        add(scores, episode)
+
+    monkeypatch.setattr(Scores, "add", add_slowly)
+    robot = robot_on(clock)
+    first = robot.world.spec.seed
+    catch(robot, clock)
+    robot.send_action(dict.fromkeys(robot.action_features, 0.0))
+    clock.now_s += FRAME_S
+    robot.get_observation()
+    assert robot.world.spec.seed == first
 
 
 def test_a_person_at_the_page_moves_the_robot():

@@ -120,8 +120,9 @@ class DynahoiRobot(Simulated, Robot):
         Raises:
             DeviceNotConnectedError: before ``connect``.
         """
+        asked_s = self._clock()  # before the results are written, which takes a while
         self._note_end()
-        if self._next_is_due():
+        if self._next_is_due(asked_s):
             self._begin()
         observation = self.world.observe()
         images = {view: image[0] for view, image in observation.images.items()}
@@ -137,8 +138,8 @@ class DynahoiRobot(Simulated, Robot):
         if missing := [name for name in NAMES if name not in action]:
             raise ValueError(f"an action of robot dynahoi needs {', '.join(NAMES)}, but has no {missing[0]}")
         self.world.command(np.array([float(action[name]) for name in NAMES]))
-        self._acted_s = self._clock()
         self._note_end()
+        self._acted_s = self._clock()
         return action
 
     def disconnect(self) -> None:
@@ -154,8 +155,8 @@ class DynahoiRobot(Simulated, Robot):
         if self._scores.results.rows:
             logger.info("\n%s", results_table([self._scores.results]))
 
-    def _next_is_due(self) -> bool:
-        now_s, ended_s, restart_s = self._clock(), self._ended_s, self.config.restart_s
+    def _next_is_due(self, now_s: float) -> bool:
+        ended_s, restart_s = self._ended_s, self.config.restart_s
         if restart_s is not None:
             return ended_s is not None and now_s - ended_s >= restart_s
         return self._acted_s is not None and now_s - self._acted_s > (LONG_PAUSE_S if ended_s is None else PAUSE_S)
