@@ -27,9 +27,10 @@ class LiveWorld:
     """One hand and one moving object on a clock.
 
     The world is brought up to date whenever somebody looks at it or commands it, so that it needs no thread, and what
-    happens in it depends on the times of the commands alone. Frame k becomes frame k + 1 at k + 1/2 frames after the
-    first command: commands that arrive once a frame then fall into the frame they are meant for, even if they are up to
-    25 ms early or late. In a frame without a new command the hand follows the last one.
+    happens in it depends on the times of observations and commands alone. Frame 0 ends midway between the first command
+    and the next observation, one frame after the one that led to the command: whoever observes and commands once a
+    frame then commands the frame that it has seen, even if it is up to 25 ms early or late, or half the rest of the
+    frame if it takes time to decide. In a frame without a new command the hand follows the last one.
 
     Attributes:
         recipe, kind: what is played.
@@ -77,7 +78,8 @@ class LiveWorld:
         self._session.begin([0], [Job.evaluation(number, self.spec)])
         self._session.observe(images=self._session.record_images)
         self._command, self._fresh = self._session.batch.executed[0].copy(), False
-        self._started_s, self.missed, self.finished, self._player = None, 0, None, player
+        self._started_s, self._observed_s = None, self._clock()
+        self.missed, self.finished, self._player = 0, None, player
 
     @property
     def batch(self) -> WorldBatch:
@@ -105,6 +107,8 @@ class LiveWorld:
     def observe(self, *, images: bool = True) -> Observation:
         """Return what is seen now, of one world: images (1, H, W, 3), state (1, 18) and so on."""
         self.catch_up()
+        if self._started_s is None:
+            self._observed_s = self._clock()
         if images and not self._seen.images:
             return self._session.observe(ending=np.zeros(1, int))
         return self._seen
@@ -119,8 +123,10 @@ class LiveWorld:
         """
         given = self.batch.commands.read(np.asarray(command, np.float64)[None], self._seen.state)[0]
         if self._started_s is None:
-            self._started_s = self._clock()
-        self.catch_up()
+            now_s = self._clock()
+            self._started_s = now_s - min(now_s - self._observed_s, 1 / CONTROL_HZ) / 2
+        else:
+            self.catch_up()
         self._command, self._fresh = given, True
         if not self._realtime and self.finished is None:
             self._tick()

@@ -44,8 +44,11 @@ def robot_on(clock: Clock, **options) -> DynahoiRobot:
     return robot
 
 
-def catch(robot: DynahoiRobot, clock: Clock, jitter_s: float = 0.0) -> int:
-    """Let the expert move the robot until its episode is over, at times off by up to ``jitter_s``; return actions."""
+def catch(robot: DynahoiRobot, clock: Clock, jitter_s: float = 0.0, thinking_s: float = 0.0) -> int:
+    """Let the expert move the robot until its episode is over; return the number of actions.
+
+    It observes at times off by up to ``jitter_s``, and acts ``thinking_s`` later on what it saw.
+    """
     expert = make_teleoperator_from_config(DynahoiExpertConfig())
     expert.connect()
     rng, begun_s = np.random.default_rng(0), clock.now_s
@@ -54,14 +57,17 @@ def catch(robot: DynahoiRobot, clock: Clock, jitter_s: float = 0.0) -> int:
         robot.get_observation()
         if robot.world.finished:
             return k
-        robot.send_action(expert.get_action())
+        action = expert.get_action()
+        clock.now_s += thinking_s
+        robot.send_action(action)
     raise AssertionError("the episode does not end")
 
 
-def test_the_expert_catches_by_the_clock_and_without_it():
+@pytest.mark.parametrize(("jitter_s", "thinking_s"), [(0.02, 0.0), (0.004, 0.04)])
+def test_the_expert_catches_by_the_clock_and_without_it(jitter_s: float, thinking_s: float):
     clock = Clock()
     timed = robot_on(clock)
-    actions = catch(timed, clock, jitter_s=0.02)
+    actions = catch(timed, clock, jitter_s, thinking_s)
     assert timed.world.finished.success
     assert timed.world.missed == 0, "actions that are less than half a frame off are not late"
     stepped = robot_on(Clock(), realtime=False)
