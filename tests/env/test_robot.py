@@ -124,6 +124,22 @@ def test_the_next_episode_begins_when_lerobot_comes_back_from_a_pause():
     assert robot.world.finished is None
 
 
+def test_a_paused_lerobot_that_holds_the_hand_waits_in_the_first_frame_of_the_next_episode():
+    clock = Clock()
+    robot = robot_on(clock)
+    first = robot.world.spec.seed
+    catch(robot, clock)
+    held = dict.fromkeys(robot.action_features, 0.0)
+    for _ in range(40):
+        clock.now_s += FRAME_S
+        robot.get_observation()
+        robot.send_action(held)
+    assert robot.world.spec.seed != first
+    assert robot.world.batch.frame[0] == 0
+    catch(robot, clock)
+    assert robot.world.finished.success
+
+
 def test_writing_the_results_of_an_episode_is_no_pause_of_lerobots(monkeypatch: pytest.MonkeyPatch):
     clock, add = Clock(), Scores.add
 

@@ -54,7 +54,8 @@ class DynahoiRobot(Simulated, Robot):
 
     An episode begins with the first action after it was laid out; when it is over the world stands still. The next one
     is laid out when LeRobot begins an episode of its own, which is told by the pause before that, or, where LeRobot has
-    no episodes, after the config's ``restart_s``.
+    no episodes, after the config's ``restart_s``. A paused LeRobot may also hold the hand with one and the same dict:
+    that neither ends the pause nor begins an episode.
     """
 
     config_class = DynahoiRobotConfig
@@ -69,6 +70,7 @@ class DynahoiRobot(Simulated, Robot):
         self._world: LiveWorld | None = None
         self._number = config.seed  # of the next episode
         self._acted_s: float | None = None  # when the last action of this episode came
+        self._sent: dict[str, Any] | None = None  # LeRobot sends the same dict again while it is paused
         self._ended_s: float | None = None  # when the episode was seen to be over
         self._scores: Scores
         self._open = ExitStack()
@@ -137,9 +139,13 @@ class DynahoiRobot(Simulated, Robot):
         """
         if missing := [name for name in NAMES if name not in action]:
             raise ValueError(f"an action of robot dynahoi needs {', '.join(NAMES)}, but has no {missing[0]}")
+        held, self._sent = action is self._sent, action
+        if held and self._acted_s is None and self.config.restart_s is None:
+            return action
         self.world.command(np.array([float(action[name]) for name in NAMES]))
         self._note_end()
-        self._acted_s = self._clock()
+        if not held or self._ended_s is None:
+            self._acted_s = self._clock()
         return action
 
     def disconnect(self) -> None:
