@@ -60,7 +60,7 @@ def test_it_learns_where_a_square_is_and_says_how_sure_it_is():
     torch.manual_seed(0)
     eye = Eye(channels=8, fovea=12)
     optimizer = torch.optim.AdamW(eye.parameters(), lr=3e-3)
-    images, offset = squares(256, seed=0)
+    images, offset = squares(128, seed=0)
     for _ in range(150):
         optimizer.zero_grad()
         loss = sighting_loss(eye, camera(), images, offset).mean()

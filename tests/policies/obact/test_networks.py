@@ -105,7 +105,7 @@ def trained(name: str) -> ActionHead:
     torch.manual_seed(0)
     head = HEADS[name](4, 1, [2], width=64)
     optimizer = torch.optim.Adam(head.parameters(), lr=3e-3)
-    for _ in range(600):
+    for _ in range(400):
         loss = head.loss(torch.zeros(256, 4), two_answers(256), torch.ones(256, 1)).mean()
         optimizer.zero_grad()
         loss.backward()
@@ -198,7 +198,7 @@ def test_a_gr00t_head_learns_which_way_to_go():
     sides = torch.tensor([-1.0, 1.0]).repeat(64)
     context, actions = torch.zeros(128, 4), torch.zeros(128, 1, 2)
     context[:, 0] = actions[:, 0, 0] = sides
-    for _ in range(300):
+    for _ in range(200):
         optimizer.zero_grad()
         head.loss(context, actions, torch.ones(128, 1)).mean().backward()
         optimizer.step()

@@ -554,7 +554,7 @@ ALONE = """if True:
 
 def test_another_process_without_the_core_acts_the_same_and_trains(hand_root: Path, tmp_path: Path):
     """What labels episodes is imported for training alone, and nothing of the core at all."""
-    policy = varied(**RECORDED | {"cache_images": False, "virtual_share": 1.0})
+    policy = varied(**RECORDED | {"cache_images": False, "virtual_share": 1.0, "episodes_per_sample": 1})
     policy.save_pretrained(tmp_path / "checkpoint")
     seen = [step(policy, n=2, seed=i) for i in range(3)]
     torch.save(seen, tmp_path / "seen.pt")
