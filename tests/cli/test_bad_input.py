@@ -31,6 +31,7 @@ CASES = [
     ("evaluate --policy vlm --model m --protocol observe_then_blind", "observe_then_blind"),
     ("view --out x.gif", "--results DIR"),
     ("view --motion lob --thoughts --out x.gif", "give --motion MOTION --policy CHECKPOINT"),
+    ("view --dataset DATASET --thoughts --out x.gif", "give --motion MOTION --policy CHECKPOINT"),
     ("view --motion lob --results r --out x.gif", "--motion MOTION"),
     ("view --motion lob --image-size 0 --out x.gif", "--image-size is 0"),
     ("view --motion lob --out x.avi", "cannot write '.avi'; use .gif, .mp4, .html"),

@@ -20,29 +20,15 @@ LARGEST_BYTES = 400_000
 
 
 @PAGES
-def test_every_link_leads_to_a_file_and_heading(page: Page):
-    broken = [target for _, target in page.links if not _leads_somewhere(page, target)]
-    assert not broken
-
-
-@PAGES
-def test_every_path_named_exists(page: Page):
+def test_every_link_path_name_and_module_is_there(page: Page):
+    assert not [target for _, target in page.links if not _leads_somewhere(page, target)]
     assert not sorted(path for path in page.paths if not (ROOT / path).exists())
-
-
-@PAGES
-def test_every_name_that_links_to_a_source_file_is_defined_there(page: Page):
-    missing = [
+    assert not [
         f"{text} in {target}"
         for text, target in page.links
         if target.endswith(".py") and re.fullmatch(r"`[A-Za-z_][\w.]*`", text) and not text.endswith(".py`")
         if not set(text.strip("`").split(".")) <= _defined(page.path.parent / target)
     ]
-    assert not missing
-
-
-@PAGES
-def test_every_module_named_can_be_imported(page: Page):
     for module, name in {match.groups() for span in {*page.spans} - {GROUP} if (match := DOTTED.fullmatch(span))}:
         assert name is None or hasattr(importlib.import_module(module), name), f"{module} has no {name}"
         importlib.import_module(module)
@@ -92,7 +78,7 @@ def test_commands_have_the_options_shown():
         assert shown <= options(words[1]), words
 
 
-@pytest.mark.parametrize("page", pages(), ids=lambda page: page.path.name)
+@PAGES
 def test_options_named_in_the_text_exist_in_some_command(page: Page):
     known = frozenset().union(*map(options, COMMANDS))
     named = {span.split("=")[0].split()[0] for span in page.spans if span.startswith("--")}

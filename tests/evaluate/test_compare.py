@@ -25,15 +25,10 @@ def results(values: list, metric: str = "S_loc", first_seed: int = 0, folder: st
     return Results(Path(folder), info, rows, tuple(np.zeros((12, 18), np.float32) for _ in rows))
 
 
-@pytest.mark.parametrize(
-    ("only_a", "only_b", "p_value"),
-    [(0, 0, 1.0), (3, 3, 1.0), (0, 5, 2 / 32), (1, 5, 2 * (1 + 6) / 64), (8, 2, 2 * (1 + 10 + 45) / 1024)],
-)
-def test_mcnemar_by_hand(only_a: int, only_b: int, p_value: float):
-    assert mcnemar(only_a, only_b) == mcnemar(only_b, only_a) == pytest.approx(p_value)
-
-
-def test_mcnemar_of_many_episodes_does_not_overflow():
+def test_mcnemar_by_hand_and_of_many_episodes():
+    by_hand = {(0, 0): 1.0, (3, 3): 1.0, (0, 5): 2 / 32, (1, 5): 2 * (1 + 6) / 64, (8, 2): 2 * (1 + 10 + 45) / 1024}
+    for (only_a, only_b), p_value in by_hand.items():
+        assert mcnemar(only_a, only_b) == mcnemar(only_b, only_a) == pytest.approx(p_value)
     assert mcnemar(900, 1100) == pytest.approx(8.5e-6, rel=0.1)
 
 
@@ -85,13 +80,10 @@ def test_only_the_same_episodes_are_paired_whatever_their_order():
     assert paired_values(*conditional, "S_gra").tolist() == [[1.0, 1.0]]
 
 
-@pytest.mark.parametrize("change", [{"split": "val"}, {"kind": "bounce"}, {"object": "egg"}, {"length_frames": 41}])
-def test_a_seed_alone_does_not_make_a_pair(change: dict):
-    assert compare(results([1.0]), results([1.0], **change), "S_loc") is None
-    assert compare(results([1.0]), results([1.0], **change), COMMANDS) is None
-
-
-def test_an_unknown_metric_is_named():
+def test_a_seed_alone_does_not_make_a_pair_and_an_unknown_metric_is_named():
+    for change in ({"split": "val"}, {"kind": "bounce"}, {"object": "egg"}, {"length_frames": 41}):
+        assert compare(results([1.0]), results([1.0], **change), "S_loc") is None
+        assert compare(results([1.0]), results([1.0], **change), COMMANDS) is None
     with pytest.raises(UnknownNameError, match="S_lok"):
         compare(results([1.0], "S_lok"), results([1.0], "S_lok"), "S_lok")
 

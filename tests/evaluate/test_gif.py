@@ -23,10 +23,13 @@ def total_ms(data: bytes) -> int:
         return sum(page.info["duration"] for page in ImageSequence.Iterator(gif))
 
 
-def test_frames_keep_their_number_size_and_pace():
+def test_frames_keep_their_number_size_and_pace_and_enlarged_pixels_stay_crisp():
     data = encode_gif(FRAMES)
     assert [page.size for page in pages(data)] == [(16, 12)] * 5
     assert total_ms(data) == 5 * 50
+    pixels = np.asarray(pages(encode_gif(FRAMES[:1], min_width=33))[0])
+    assert pixels.shape == (36, 48, 3)
+    assert (pixels[0:3, 0:3] == pixels[0, 0]).all()
 
 
 def test_the_border_tells_the_phase():
@@ -54,13 +57,6 @@ def test_a_small_target_keeps_its_colour():
         assert np.abs(np.array(page.getpixel((32, 22))) - target).max() < 12
 
 
-def test_enlarged_pixels_stay_crisp():
-    (page, *_) = pages(encode_gif(FRAMES[:1], min_width=33))
-    pixels = np.asarray(page)
-    assert pixels.shape == (36, 48, 3)
-    assert (pixels[0:3, 0:3] == pixels[0, 0]).all()
-
-
 def test_the_caption_is_a_strip_that_any_text_fits():
     (plain, *_) = pages(encode_gif(FRAMES[:1] // 255, caption="x"))
     assert plain.size == (16, 12 + CAPTION_PX)
@@ -78,8 +74,5 @@ def test_an_episode_is_shown_at_a_readable_size(tmp_path: Path):
     assert names[:8] == ["observing"] * 8
     assert names[8] == "acting"
     assert names[-1] == "localized"
-
-
-def test_an_episode_without_images_is_refused(tmp_path: Path):
     with pytest.raises(ValueError, match="seed 7 holds no images"):
         episode_gif(tmp_path / "a.gif", synthetic_episode(7, image_size=None))

@@ -2,7 +2,6 @@
 
 import copy
 import hashlib
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -31,16 +30,15 @@ def test_settings_change_the_config_and_nothing_else() -> None:
     assert {**changed.__dict__, "n_action_steps": 1, "noise_seed": 0} == plain.__dict__
 
 
-def test_results_say_which_weights_they_are_of(tmp_path: Path) -> None:
-    copied = Path(shutil.copytree(CHECKPOINT, tmp_path / "policy"))
-    words = ["evaluate", "--policy", str(copied), "--split", "val", "--episodes", "1", "--out", str(tmp_path / "out")]
+def test_results_say_which_weights_they_are_of(actor: Path, tmp_path: Path) -> None:
+    words = ["evaluate", "--policy", str(actor), "--split", "val", "--episodes", "1", "--out", str(tmp_path)]
     assert main(words) == 0
-    digests = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in copied.glob("*.safetensors")}
-    assert read_results(tmp_path / "out").info.extra["weights"] == digests
+    digests = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in actor.glob("*.safetensors")}
+    assert read_results(tmp_path).info.extra["weights"] == digests
 
 
 @pytest.mark.parametrize("mode", ["async", "rtc"])
-def test_a_measured_inference_is_of_one_world_and_may_outlast_the_chunk_before(mode, tmp_path, monkeypatch):
+def test_a_measured_inference_is_of_one_world_and_may_outlast_the_chunk_before(mode, actor, tmp_path, monkeypatch):
     plan, worlds = PolicyAgent.plan, []
 
     def slow(agent: PolicyAgent, observation: Observation, chosen: np.ndarray, **told: Any) -> tuple:
@@ -48,7 +46,7 @@ def test_a_measured_inference_is_of_one_world_and_may_outlast_the_chunk_before(m
         return plan(agent, observation, chosen, **told)[0], np.full(1, 0.55)  # its chunks are of 8 frames, 0.4 s
 
     monkeypatch.setattr(PolicyAgent, "plan", slow)
-    words = ["evaluate", "--policy", CHECKPOINT, "--split", "val", "--episodes", "2", "--out", str(tmp_path)]
+    words = ["evaluate", "--policy", str(actor), "--split", "val", "--episodes", "2", "--out", str(tmp_path)]
     assert main([*words, "--control-class", "unlimited", "--inference", mode, "--inference-ms", "measured"]) == 0
     assert set(worlds) == {1}
     assert read_results(tmp_path).info.extra["inference_frames"] == 11.0
@@ -113,8 +111,4 @@ def test_diffusion_policy_plans_from_the_noted_frames(diffusion):
     forgetful = copy.deepcopy(diffusion)
     other = forgetful.predict_action_chunk(queued_frame(forgetful, frames[-1]), noise=noise)
     assert not torch.allclose(chunk, other), "the frames before matter"
-
-
-def test_a_policy_without_queues_gets_its_batch_unchanged():
-    batch = {"observation.state": torch.zeros(1, 18)}
-    assert queued_frame(object(), batch) is batch
+    assert queued_frame(object(), frames[0]) is frames[0], "of a policy without queues"

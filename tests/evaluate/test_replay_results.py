@@ -113,6 +113,10 @@ def test_a_drawn_sample_can_be_drawn_again(honest: Path, capsys: pytest.CaptureF
     (seed,) = re.findall(r"--replay-seed (\d+)", capsys.readouterr().out)
     assert main(["evaluate", "--replay", str(honest), "--episodes", "1", "--replay-seed", seed]) == 0
     assert f"1 episodes drawn with --replay-seed {seed}" in capsys.readouterr().out
+    assert drawn(10, None, 0) == list(range(10))
+    assert drawn(2, 5, 0) == [0, 1]
+    assert len(set(drawn(1000, 44, 0))) == 44
+    assert drawn(1000, 44, 0) == drawn(1000, 44, 0) != drawn(1000, 44, 1)
 
 
 def test_easier_rules_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -146,10 +150,3 @@ def test_results_of_a_salt_are_replayed_by_who_knows_it(tmp_path: Path, capsys: 
         said = capsys.readouterr().err
         assert "the results are of salt sha256:" in said
         assert secret not in said
-
-
-def test_samples_are_without_repetition_and_of_the_seed():
-    assert drawn(10, None, 0) == list(range(10))
-    assert drawn(2, 5, 0) == [0, 1]
-    assert len(set(drawn(1000, 44, 0))) == 44
-    assert drawn(1000, 44, 0) == drawn(1000, 44, 0) != drawn(1000, 44, 1)

@@ -28,25 +28,15 @@ def test_every_category_has_its_place_and_those_of_others_have_one_of_their_own(
     assert label(name, category="pendulum") == example[name]
 
 
-@pytest.mark.parametrize(
-    ("frames", "expected"),
-    [(19, "<20"), (20, "20-40"), (40, "20-40"), (41, "40-60"), (60, "40-60"), (80, "60-80"), (120, "80-120")]
-    + [(121, ">120")],
-)
-def test_duration_bins(frames: int, expected: str):
-    assert label("duration", length_frames=frames) == expected
-
-
-@pytest.mark.parametrize(
-    ("distance_m", "expected"),
-    [(0.0, "0-0.5"), (0.04, "0-0.5"), (0.06, "0.5-2"), (0.21, "2-4"), (0.39, "2-4"), (0.41, ">4")],
-)
-def test_travel_is_from_the_palm_at_control_start_to_the_intercept(distance_m: float, expected: str):
-    window = EPISODE.meta.window_frames
-    goal = EPISODE.palm_pos_h[window] + np.array([0, distance_m, 0], np.float32)
-    state = EPISODE.state.copy()
-    state[:window, :3] = 50.0
-    assert STRATA["travel"].label(replace(EPISODE, state=state, intercept_position=goal)) == expected
+def test_bins_of_duration_and_of_travel_from_the_palm_at_control_start_to_the_intercept():
+    frames = {19: "<20", 20: "20-40", 40: "20-40", 41: "40-60", 60: "40-60", 80: "60-80", 120: "80-120", 121: ">120"}
+    assert {n: label("duration", length_frames=n) for n in frames} == frames
+    window, state = EPISODE.meta.window_frames, EPISODE.state.copy()
+    start, state[:window, :3] = state[window, :3], 50.0
+    far_m = {0.0: "0-0.5", 0.04: "0-0.5", 0.06: "0.5-2", 0.21: "2-4", 0.39: "2-4", 0.41: ">4"}
+    for distance_m, expected in far_m.items():
+        goal = start + np.array([0, distance_m, 0], np.float32)
+        assert STRATA["travel"].label(replace(EPISODE, state=state, intercept_position=goal)) == expected
 
 
 def test_known_labels_come_in_order_and_unknown_ones_last():
@@ -54,22 +44,17 @@ def test_known_labels_come_in_order_and_unknown_ones_last():
     assert STRATA["kind"].arrange({"lob", "bounce"}) == ["bounce", "lob"]
 
 
-@pytest.mark.parametrize(
-    ("successes", "count", "low", "high"),
-    [(81, 263, 0.2553, 0.3662), (15, 148, 0.0624, 0.1605), (0, 20, 0.0000, 0.1611), (1, 29, 0.0061, 0.1718)],
-)
-def test_wilson_matches_published_values(successes: int, count: int, low: float, high: float):
+def test_wilson_matches_published_values_contains_the_rate_and_mirrors():
     """Newcombe 1998, Table I, method 3."""
-    assert wilson(successes, count) == (pytest.approx(low, abs=6e-5), pytest.approx(high, abs=6e-5))
-
-
-@pytest.mark.parametrize("count", [1, 7, 110, 1000])
-def test_wilson_contains_the_rate_and_mirrors(count: int):
-    for successes in {0, 1, count // 2, count}:
-        low, high = wilson(successes, count)
-        assert 0 <= low <= successes / count <= high <= 1
-        assert low < high
-        assert wilson(count - successes, count) == (pytest.approx(1 - high), pytest.approx(1 - low))
+    published = [(81, 263, 0.2553, 0.3662), (15, 148, 0.0624, 0.1605), (0, 20, 0.0, 0.1611), (1, 29, 0.0061, 0.1718)]
+    for successes, count, low, high in published:
+        assert wilson(successes, count) == (pytest.approx(low, abs=6e-5), pytest.approx(high, abs=6e-5))
+    for count in (1, 7, 110, 1000):
+        for successes in {0, 1, count // 2, count}:
+            low, high = wilson(successes, count)
+            assert 0 <= low <= successes / count <= high <= 1
+            assert low < high
+            assert wilson(count - successes, count) == (pytest.approx(1 - high), pytest.approx(1 - low))
 
 
 def test_bootstrap_is_deterministic_blind_to_order_and_draws_from_all_values():

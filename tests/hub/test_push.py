@@ -13,10 +13,11 @@ from huggingface_hub import constants
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.checkpoint import load_policy
+from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError
 from dynahoi_lerobot.evaluate.results import METRICS_FILE, RunInfo
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
-from tests.hub.server import TOKEN, Hub, serving
+from tests.hub.server import TOKEN, Hub, Repo, serving
 from tests.synthetic import synthetic_episode, write_results
 from tests.tools import generated
 
@@ -136,16 +137,12 @@ def test_a_damaged_dataset_is_refused(simulated: Path, tmp_path: Path, hub: Hub,
     assert hub.repos == {}
 
 
-def test_a_repository_of_something_else_is_left_alone(simulated: Path, hub: Hub, push: Push):
+def test_a_public_repository_and_one_of_something_else_are_left_alone(simulated: Path, hub: Hub, push: Push):
     push(simulated, "me/catching")
+    refused(push(simulated, "me/catching", "--private"), "me/catching exists and is public")
     hub.repos[DATASET].commits["f" * 40] = {"thesis.pdf": b"years of work"}
     refused(push(simulated, "me/catching"), "me/catching holds other content (thesis.pdf); choose another name")
     assert hub.repos[DATASET].files == {"thesis.pdf": b"years of work"}
-
-
-def test_what_is_to_be_private_does_not_go_into_a_public_repository(simulated: Path, hub: Hub, push: Push):
-    push(simulated, "me/catching")
-    refused(push(simulated, "me/catching", "--private"), "me/catching exists and is public")
 
 
 # -- what any push needs ----------------------------------------------------------------------------------------------
@@ -170,17 +167,16 @@ def test_no_network(checkpoint: Path, push: Push, monkeypatch: pytest.MonkeyPatc
     refused(push(checkpoint, "me/policy"), "cannot reach http://127.0.0.1:9 (ConnectError); nothing is lost")
 
 
-@pytest.mark.parametrize("name", ["catching", "a/b/c", "me/a b", ""])
-def test_names_that_are_none(checkpoint: Path, hub: Hub, push: Push, name: str):
-    refused(push(checkpoint, name), f"the repository is {name!r}; it must be USER/NAME", 2)
+def test_names_folders_and_options_that_do_not_fit(checkpoint: Path, tmp_path: Path, hub: Hub, push: Push):
+    for name in ("catching", "a/b/c", "me/a b", ""):
+        refused(push(checkpoint, name), f"the repository is {name!r}; it must be USER/NAME", 2)
     assert hub.requests == []
-
-
-def test_folders_and_options_that_do_not_fit(checkpoint: Path, tmp_path: Path, hub: Hub, push: Push):
     (tmp_path / "empty").mkdir()
     refused(push(tmp_path / "empty", "me/catching"), "holds none of these: dataset (meta/info.json), results", 2)
     answer = push(checkpoint, "me/policy", "--policy", "me/x")
     refused(answer, f"--policy is for a push of results; {checkpoint} holds this: checkpoint", 2)
+    (checkpoint / "optimizer.pt").write_bytes(b"pickle")
+    refused(push(checkpoint, "me/policy"), "optimizer.pt is a pickle", 2)
     assert hub.repos == {}
 
 
@@ -253,12 +249,6 @@ def test_results_that_their_commands_do_not_lead_to_are_not_uploaded(checkpoint,
     monkeypatch.setattr(Recipe, "fingerprint", lambda _: "f")
     refused(push(write_split(tmp_path / "results", "ood_speed", range(2)), "me/policy"), "was not pushed")
     assert names(hub) == set()
-
-
-def test_pickles_are_refused(checkpoint: Path, hub: Hub, push: Push):
-    (checkpoint / "optimizer.pt").write_bytes(b"pickle")
-    refused(push(checkpoint, "me/policy"), "optimizer.pt is a pickle", 2)
-    assert hub.repos == {}
 
 
 # -- results ----------------------------------------------------------------------------------------------------------
@@ -347,6 +337,34 @@ def test_a_checkpoint_is_evaluated_by_its_name_and_its_results_stand_beside_it(h
     name = f"{BENCHMARK.version}_test_small_attach_standard_image_size_96_2_episodes"
     assert json.loads(files[f"results/{name}/{METRICS_FILE}"]) == head
     assert push(ROOT / "checkpoints/obact_standard", "me/policy")[0] == 0, "results beside it are no obstacle"
+
+
+@pytest.mark.usefixtures("push")
+def test_a_repository_is_checked_before_its_weights_are_fetched_of_the_same_commit(actor: Path, hub: Hub):
+    harmless = {path.name: path.read_bytes() for path in actor.iterdir()} | {"optimizer.pt": b"never fetched"}
+    program = {"policy_preprocessor.json": b'{"steps": [{"class": "os.mkdir", "config": {"path": "x"}}]}'}
+    repo = hub.repos[MODEL] = Repo(private=False, commits={"a" * 40: harmless | program})
+
+    class Requests(list[str]):
+        """Lets somebody commit another program when a file is asked for."""
+
+        def append(self, line: str) -> None:
+            super().append(line)
+            if "/resolve/" in line:
+                repo.commits["c" * 40] = harmless | program
+
+        def fetched(self) -> set[tuple[str, str]]:
+            return {(commit, name) for *_, commit, name in (x.split("/") for x in self if "/resolve/" in x)}
+
+    hub.requests = requests = Requests()
+    with pytest.raises(PolicyError, match=r"os\.mkdir"):
+        PolicyAgent("me/policy")
+    assert requests.fetched() == {("a" * 40, name) for name in harmless if name.endswith(".json")}
+    repo.commits = {"b" * 40: harmless}
+    hub.requests = requests = Requests()
+    agent = PolicyAgent("me/policy")
+    assert (agent.name, agent.trained_for["image_size"]) == ("me/policy", 32)
+    assert requests.fetched() == {("b" * 40, name) for name in harmless if name != "optimizer.pt"}
 
 
 def test_an_environment_is_pushed(hub: Hub, push: Push):

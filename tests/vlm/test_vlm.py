@@ -195,13 +195,13 @@ def test_a_key_or_address_that_cannot_be_is_refused_unseen(key, url, problem, mo
 class Remembered:
     """A client that counts, and moves up by a centimetre a frame, or fails."""
 
-    def __init__(self, fails: bool = False) -> None:
-        self.asked, self.fails = [], fails
+    def __init__(self, fails: bool = False, took_s: float = 0.0) -> None:
+        self.asked, self.fails, self.took_s = [], fails, took_s
 
     def plan(self, worlds: list[tuple[str, np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray | None, float]]:
         self.asked += [task for task, _, _ in worlds]
         way = np.arange(1, HORIZON + 1)[:, None] * np.eye(18)[2] * 0.01
-        return [(None if self.fails else state + way, 0.0) for _, state, _ in worlds]
+        return [(None if self.fails else state + way, self.took_s) for _, state, _ in worlds]
 
 
 def observe(acting: list[int], idle: tuple[int, ...] = ()) -> Observation:
@@ -214,8 +214,7 @@ def observe(acting: list[int], idle: tuple[int, ...] = ()) -> Observation:
 
 
 def test_one_request_for_ten_frames_of_each_acting_world():
-    client = Remembered()
-    agent = VlmAgent(client)
+    agent = VlmAgent(client := Remembered())
     agent.reset(3)
     np.testing.assert_array_equal(agent.act(observe([0, 0, 0])), 1.0)
     assert client.asked == []
@@ -226,8 +225,7 @@ def test_one_request_for_ten_frames_of_each_acting_world():
 
 
 def test_a_failed_decision_holds_still_for_ten_frames():
-    client = Remembered(fails=True)
-    agent = VlmAgent(client)
+    agent = VlmAgent(client := Remembered(fails=True))
     agent.reset(1)
     for _ in range(HORIZON):
         np.testing.assert_array_equal(agent.act(observe([1])), 1.0)
@@ -282,23 +280,11 @@ def test_the_model_is_told_how_far_the_palm_may_move(settings: str, told_m: floa
     assert all(told in exchange.body["messages"][1]["content"][0]["text"] for exchange in seen)
 
 
-class SlowClient:
-    """Says after 120 ms: go where the number of the request is."""
-
-    def __init__(self) -> None:
-        self.requests = 0
-
-    def plan(self, worlds: list[tuple[str, np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, float]]:
-        self.requests += len(worlds)
-        return [(np.full((HORIZON, 18), float(self.requests)), 0.12) for _ in worlds]
-
-
 def test_a_request_of_120_ms_takes_three_frames_and_ended_worlds_are_not_asked_about():
-    seen, client = observe([1, 1], idle=(1,)), SlowClient()
-    seen = replace(seen, state=np.zeros((2, 18), np.float32))
-    agent = RealTimeAgent(VlmAgent(client), Inference("async", None))
+    seen = replace(observe([1, 1], idle=(1,)), state=np.zeros((2, 18), np.float32))
+    agent = RealTimeAgent(VlmAgent(client := Remembered(took_s=0.12)), Inference("async", None))
     agent.reset(2)
-    commands = np.array([agent.act(seen)[:, 0] for _ in range(7)])
-    assert commands[:, 0].tolist() == [0, 0, 0, 1, 1, 1, 2]
-    assert commands[:, 1].tolist() == [0] * 7
-    assert client.requests == 3
+    heights = np.array([agent.act(seen)[:, 2] for _ in range(7)])
+    np.testing.assert_allclose(heights[:, 0], [0, 0, 0, 0.04, 0.05, 0.06, 0.04], atol=1e-6)
+    assert not heights[:, 1].any()
+    assert client.asked == ["a"] * 3

@@ -197,13 +197,10 @@ def test_a_checkpoint_brings_its_own_weights(kind: type[Policy], models: Path, t
         torch.testing.assert_close(again.predict_image(now(batch)), policy.predict_image(now(batch)))
 
 
-def test_the_vision_tower_stays_as_it_is(models: Path) -> None:
+def test_the_vision_tower_and_the_image_tokenizer_stay_as_they_are(models: Path) -> None:
     frozen, free = (make_policy(ActionTokensPolicy, models, freeze_vision=freeze) for freeze in (True, False))
     assert len(frozen.get_optim_params()) < len(free.get_optim_params())
     assert all("vision" in name for name, p in frozen.named_parameters() if not p.requires_grad)
-
-
-def test_the_image_tokenizer_stays_as_it_is(models: Path) -> None:
     policy = make_policy(UPVLAPolicy, models).train()
     assert not policy.images.model.training
     assert not any(p.requires_grad for p in policy.images.parameters())

@@ -69,32 +69,19 @@ def test_it_is_read_again_in_full_precision_and_follows_the_umask(encode, tmp_pa
     assert len(encode.calls) == len(LENGTHS)
 
 
-def spoil_type(file: Path) -> None:
-    save_file({"sightings": torch.zeros(7, 1, 69, dtype=torch.float16)}, file)
+SPOILT: dict[str, Callable[[Path], object]] = {
+    "type": lambda file: save_file({"sightings": torch.zeros(7, 1, 69, dtype=torch.float16)}, file),
+    "size": lambda file: save_file({"sightings": torch.zeros(6, 1, 69)}, file),
+    "cut": lambda file: file.write_bytes(file.read_bytes()[:100]),
+    "pipe": lambda file: (file.unlink(), os.mkfifo(file)),
+    "folder": lambda file: (file.unlink(), file.mkdir()),
+}
 
 
-def spoil_size(file: Path) -> None:
-    save_file({"sightings": torch.zeros(6, 1, 69)}, file)
-
-
-def truncate(file: Path) -> None:
-    file.write_bytes(file.read_bytes()[:100])
-
-
-def replace_by_pipe(file: Path) -> None:
-    file.unlink()
-    os.mkfifo(file)
-
-
-def replace_by_folder(file: Path) -> None:
-    file.unlink()
-    file.mkdir()
-
-
-@pytest.mark.parametrize("spoil", [spoil_type, spoil_size, truncate, replace_by_pipe, replace_by_folder])
-def test_a_file_that_is_of_no_use_costs_one_warning(encode, tmp_path: Path, caplog, spoil: Callable[[Path], None]):
+@pytest.mark.parametrize("spoil", SPOILT)
+def test_a_file_that_is_of_no_use_costs_one_warning(encode, tmp_path: Path, caplog, spoil: str):
     first = encode()
-    spoil(cached(tmp_path))
+    SPOILT[spoil](cached(tmp_path))
     assert encode().equal(first)
     assert len(caplog.records) == 1
     assert len(encode.calls) == 2 * len(LENGTHS)

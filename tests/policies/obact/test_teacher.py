@@ -61,19 +61,15 @@ def test_it_meets_the_target_at_the_first_point_in_reach_with_time_to_spare_if_t
             assert torch.equal(told.goal[b, q, m, 0], path[b, int(due[b, q]) + (calm or found)])
 
 
-@pytest.mark.parametrize(("speed_m", "frames"), [(0.0, 29), (0.03, 1)])
-def test_out_of_reach_it_goes_where_it_is_the_least_late(speed_m: float, frames: int):
-    path = torch.tensor([5.0, 0, 0]) + torch.arange(40)[:, None] * torch.tensor([speed_m, 0, 0])
-    told = answers(path[None], torch.tensor([[10]]), torch.zeros(1, 1, 1, 3))
+@pytest.mark.parametrize(
+    ("start_m", "speed_m", "due", "frames"), [(5.0, 0.0, 10, 29), (5.0, 0.03, 10, 1), (0.035, 1.1 * STEP_M, 0, 1)]
+)
+def test_out_of_reach_it_goes_where_it_is_the_least_late(start_m: float, speed_m: float, due: int, frames: int):
+    """A target that rests far away, one that flees, and a faster one close ahead, to which the gap is closed."""
+    path = torch.tensor([start_m, 0, 0]) + torch.arange(40)[:, None] * torch.tensor([speed_m, 0, 0])
+    told = answers(path[None], torch.tensor([[due]]), torch.zeros(1, 1, 1, 3))
     assert not told.reachable.any()
     assert int(told.frames) == frames
-
-
-def test_a_hand_that_trails_a_faster_target_within_reach_closes_the_gap():
-    path = torch.tensor([0.035, 0, 0]) + torch.arange(40)[:, None] * torch.tensor([1.1 * STEP_M, 0, 0])
-    told = answers(path[None], torch.tensor([[0]]), torch.zeros(1, 1, 1, 3))
-    assert not told.reachable.any()
-    assert int(told.frames) == 1
 
 
 def test_the_radius_is_that_of_the_rule_of_capture():
