@@ -1,7 +1,7 @@
 """``dynahoi evaluate``: run a policy or an expert on a split and write the result folder."""
 
 from collections.abc import Iterator
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import batched
 from pathlib import Path
@@ -16,13 +16,11 @@ from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, TRUTH
 from dynahoi_lerobot.core.reading import ReadError
-from dynahoi_lerobot.core.registry import known
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES, PROTOCOLS
 from dynahoi_lerobot.core.spec import EpisodeSpec
-from dynahoi_lerobot.core.working_folder import working_folder
 from dynahoi_lerobot.evaluate import replay_results
 from dynahoi_lerobot.evaluate.arguments import TRAINED_FOR, TRUST, VLM, make_actor, playing_rules
-from dynahoi_lerobot.evaluate.results import Results, RunInfo, read_results
+from dynahoi_lerobot.evaluate.results import Results, RunInfo, kept_results, read_results
 from dynahoi_lerobot.evaluate.table import kind_table, results_table
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.rollout.inference import INFERENCE_MODES, MAX_LATENCY_MS, SYNC, Inference, RealTimeAgent
@@ -126,16 +124,14 @@ def run(options: Options) -> int:
         settings=options.set,
         privileged=actor.privileged,
     )
-    with working_folder(options.out, info.task()) if options.out else nullcontext():
-        results = Results.resumed(options.out, info) if options.out else Results(Path(), info)
-        specs = _specs(options, recipe, results.seeds)
+    with kept_results(options.out, info) as earlier:
+        specs = _specs(options, recipe, earlier.seeds)
+        results = earlier if specs else _finished(earlier)
         for episodes in _played(options, recipe, actor, specs, _batch_size(options, inference)):
             results = results.plus(episodes)
             info.extra.update(actor.report())
             if options.out:
                 results.write()
-        if not specs:
-            results = _finished(results)
     print(results_table([results]))
     if options.policy == VLM:
         print("\n" + ", ".join(f"{name} {value}" for name, value in info.extra.get(VLM, {}).items()))
@@ -173,7 +169,7 @@ def _batch_size(options: Options, inference: Inference) -> int:
 def _actor(options: Options) -> Actor:
     capture = options.rules.get("capture", Recipe.capture)
     actor = (
-        _vlm(options, capture)
+        _vlm(options)
         if options.policy == VLM and not options.set
         else make_actor(options.policy, capture, options.device, options.set, trust=options.trust)
     )
@@ -189,22 +185,21 @@ def _actor(options: Options) -> Actor:
     return actor
 
 
-def _vlm(options: Options, capture: str) -> Agent:
+def _vlm(options: Options) -> Agent:
     """Return the vision-language model that the arguments name."""
     from dynahoi_lerobot.vlm.agent import VlmAgent, VlmClient
 
     if not options.model:
         raise ValueError("--policy vlm needs --model NAME, and --base-url URL unless the model is OpenAI's")
-    protocol = options.rules.get("protocol", Recipe.protocol)
-    if known("protocol", protocol, PROTOCOLS).blind_control:
-        raise ValueError(f"--policy vlm decides by what it sees while acting, which is nothing under {protocol}")
-    control = known("control class", options.rules.get("control_class", Recipe.control_class), CONTROL_CLASSES)
+    recipe = Recipe(split=options.split, **options.rules)
+    if PROTOCOLS[recipe.protocol].blind_control:
+        raise ValueError(f"--policy vlm decides by what it sees while acting, which is nothing under {recipe.protocol}")
     client = VlmClient(
         options.model,
         options.base_url,
         timeout_s=options.request_timeout,
         prompt=options.prompt,
-        palm_speed_m_s=CAPTURES[capture].palm_speed_m_s(control),
+        palm_speed_m_s=CAPTURES[recipe.capture].palm_speed_m_s(CONTROL_CLASSES[recipe.control_class]),
         log=options.out / "vlm.jsonl" if options.out else None,
     )
     return VlmAgent(client, name=f"vlm:{options.model}:{options.prompt}")

@@ -3,7 +3,8 @@
 import io
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -25,6 +26,7 @@ from dynahoi_lerobot.core.reading import (
     reading,
     require,
 )  # fmt: skip
+from dynahoi_lerobot.core.working_folder import working_folder
 from dynahoi_lerobot.evaluate.rows import COLUMNS, Row, episode_row
 from dynahoi_lerobot.evaluate.summary import Estimate, Summary, summarise_by, summarise_rows, wilson
 from dynahoi_lerobot.metrics import METRICS
@@ -237,6 +239,18 @@ class Results:
                 self.folder / METRICS_FILE: lambda path: path.write_text(text, encoding="utf-8"),
             }
         )
+
+
+@contextmanager
+def kept_results(folder: Path | None, info: RunInfo) -> Iterator[Results]:
+    """Hold a result folder, if there is one, and give what an interrupted run of the same task has saved in it.
+
+    Raises:
+        BlockingIOError, FileExistsError: if the folder is not to be had, see ``working_folder``.
+        ReadError: if what was saved is damaged.
+    """
+    with working_folder(folder, info.task()) if folder else nullcontext():
+        yield Results.resumed(folder, info) if folder else Results(Path(), info)
 
 
 def read_results(folder: Path) -> Results:

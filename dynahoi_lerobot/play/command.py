@@ -14,10 +14,10 @@ from dynahoi_lerobot.core.files import new_folder
 from dynahoi_lerobot.dataset.columns import dataset_features
 from dynahoi_lerobot.dataset.writer import DatasetWriter
 from dynahoi_lerobot.evaluate.arguments import EXPERT_ALIAS, TRUST, make_actor, playing_rules
+from dynahoi_lerobot.evaluate.results import RunInfo, kept_results
 from dynahoi_lerobot.evaluate.table import results_table
 from dynahoi_lerobot.play.game import Game
 from dynahoi_lerobot.play.live_world import LiveWorld
-from dynahoi_lerobot.play.scores import scores_of
 from dynahoi_lerobot.play.server import LOOPBACK, PlayServer
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.splits import kind_seed, kind_seeds
@@ -64,20 +64,23 @@ def run(options: Options) -> int:
     }
     if len(set(seeds.values())) < len(seeds):
         raise ValueError(f"--episodes must be at most {len(kind_seeds(recipe, options.motion))}, all there are")
+    info = RunInfo.begun(f"human:{options.name}", recipe, inference="")
     with ExitStack() as stack:
-        scores = stack.enter_context(scores_of(f"human:{options.name}", recipe, options.out))
+        results = stack.enter_context(kept_results(options.out, info))
         writer: DatasetWriter | None = None
 
         def keep(episode: Episode) -> None:
-            nonlocal writer
+            nonlocal results, writer
             if options.record and writer is None:
                 folder = stack.enter_context(new_folder(options.record))
                 writer = stack.enter_context(DatasetWriter(folder, dataset_features(episode)))
             if writer is not None:
                 writer.add(episode)
-            scores.add(episode)
+            results = results.plus([episode])
+            if options.out:
+                results.write()
 
-        left = [number for number, seed in seeds.items() if seed not in scores.results.seeds]
+        left = [number for number, seed in seeds.items() if seed not in results.seeds]
         practice = replace(recipe, split="train", path_speed=1.0)
         practised = options.motion if options.motion in practice.motion_names else None
         game = Game(
@@ -85,7 +88,7 @@ def run(options: Options) -> int:
             LiveWorld(practice, practised, record_images=True),
             numbers=left,
             total=options.episodes,
-            player=scores.results.info.policy,
+            player=info.policy,
             others=actors,
             keep=keep,
         )
@@ -94,8 +97,8 @@ def run(options: Options) -> int:
             asyncio.run(PlayServer(game, options.host, options.port, token).run(_announce))
         if writer is not None:
             writer.finish({"recipe": recipe.stored()})
-    if scores.results.rows:
-        print(results_table([scores.results]))
+    if results.rows:
+        print(results_table([results]))
     return 0
 
 

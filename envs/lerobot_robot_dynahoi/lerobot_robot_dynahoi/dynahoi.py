@@ -15,9 +15,9 @@ from lerobot.utils.errors import DeviceNotConnectedError
 from dynahoi_lerobot.core.conventions import EGO_VIEW
 from dynahoi_lerobot.core.features import FEATURES
 from dynahoi_lerobot.dataset.paths import ROBOT_TYPE
+from dynahoi_lerobot.evaluate.results import Results, RunInfo, kept_results
 from dynahoi_lerobot.evaluate.table import results_table
 from dynahoi_lerobot.play.live_world import LiveWorld
-from dynahoi_lerobot.play.scores import Scores, scores_of
 from lerobot_robot_dynahoi.config_dynahoi import DynahoiRobotConfig
 
 NAMES = FEATURES["action"].names
@@ -72,7 +72,7 @@ class DynahoiRobot(Simulated, Robot):
         self._acted_s: float | None = None  # when the last action of this episode came
         self._sent: dict[str, Any] | None = None  # LeRobot sends the same dict again while it is paused
         self._ended_s: float | None = None  # when the episode was seen to be over
-        self._scores: Scores
+        self._results: Results
         self._open = ExitStack()
 
     @property
@@ -110,8 +110,9 @@ class DynahoiRobot(Simulated, Robot):
             FileExistsError: if ``results_dir`` holds something else.
         """
         del calibrate
-        self._scores = self._open.enter_context(scores_of(self.config.player, self.recipe, self.config.results_dir))
-        self._number = self.config.seed + len(self._scores.results.rows)
+        info = RunInfo.begun(self.config.player, self.recipe, inference="")
+        self._results = self._open.enter_context(kept_results(self.config.results_dir, info))
+        self._number = self.config.seed + len(self._results.rows)
         self._world = LiveWorld(self.recipe, self.config.task, realtime=self.config.realtime, clock=self._clock)
         self._begin()
         DynahoiRobot.connected.append(self)
@@ -158,8 +159,8 @@ class DynahoiRobot(Simulated, Robot):
         self._world = None
         DynahoiRobot.connected.remove(self)
         self._open.close()
-        if self._scores.results.rows:
-            logger.info("\n%s", results_table([self._scores.results]))
+        if self._results.rows:
+            logger.info("\n%s", results_table([self._results]))
 
     def _next_is_due(self, now_s: float) -> bool:
         ended_s, restart_s = self._ended_s, self.config.restart_s
@@ -178,4 +179,6 @@ class DynahoiRobot(Simulated, Robot):
         if (episode := self.world.finished) is not None and self._ended_s is None:
             self._ended_s = self._clock()
             logger.info("episode over: %s; %d frames without a new action", episode.stage, self.world.missed)
-            self._scores.add(episode)
+            self._results = self._results.plus([episode])
+            if self.config.results_dir:
+                self._results.write()
