@@ -20,8 +20,7 @@ from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.verify.files import edited, file_problems, format_problems, unreadable, video_problems
 from dynahoi_lerobot.verify.meta import meta_problems
-from dynahoi_lerobot.verify.replay import replay_problems
-from dynahoi_lerobot.verify.seeds import seed_problems
+from dynahoi_lerobot.verify.replay import replay_problems, seed_problems
 from dynahoi_lerobot.verify.verdicts import verdict_problems
 
 SHOWN, LONGEST = 5, 600
