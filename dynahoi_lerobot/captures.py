@@ -23,6 +23,7 @@ from dynahoi_lerobot.core.conventions import (
     LOCALIZATION_RADIUS_M,
 )
 from dynahoi_lerobot.core.episode import in_reference_grasp
+from dynahoi_lerobot.core.numerics import runs
 from dynahoi_lerobot.core.registry import Registry
 from dynahoi_lerobot.core.rules import ControlClass
 from dynahoi_lerobot.motions import Motion, PhysicalMotion
@@ -226,7 +227,7 @@ class Contact(CaptureRule):
         """Return ``missed``, ``touched``, ``enclosed``, ``slipped`` or ``held``."""
         if self.success(track):
             return "held"
-        longest = max((end - start for start, end in _runs(gripped(track))), default=0)
+        longest = max((end - start for start, end in runs(gripped(track))), default=0)
         if longest >= SLIPPED_FRAMES:
             return "slipped"
         if longest:
@@ -240,7 +241,7 @@ class Contact(CaptureRule):
         moved_m = travel_m[HELD_FRAMES:] - travel_m[:-HELD_FRAMES]  # from frame t to t + HELD_FRAMES
         return any(
             (moved_m[start : max(start, end + 1 - HELD_FRAMES)] >= HELD_TRAVEL_M).any()
-            for start, end in _runs(gripped(track))
+            for start, end in runs(gripped(track))
         )
 
 
@@ -250,9 +251,3 @@ def gripped(track: Track) -> np.ndarray:
     opposed = (fingers[:, THUMB] | palm) & np.delete(fingers, THUMB, axis=1).any(axis=1)
     opposed |= fingers[:, THUMB] & palm
     return opposed & ~(track.contacts.others > 0) & (track.palm_distance < HELD_RADIUS_M)
-
-
-def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
-    """Return the (start, end) of each run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

@@ -76,6 +76,12 @@ def segment_distance(points: np.ndarray, path: np.ndarray) -> np.ndarray:
     return np.linalg.norm(from_start - np.clip(share, 0.0, 1.0)[..., None] * steps, axis=-1)
 
 
+def runs(flags: np.ndarray) -> list[tuple[int, int]]:
+    """Return the (start, end) of each run of True in (T,) bool."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
 def _of_long_doubles(function: np.ufunc) -> Callable[..., Any]:
     """Return ``function`` computed in long doubles and rounded to (...) float64."""
 

@@ -10,6 +10,7 @@ import numpy as np
 from dynahoi_lerobot.core.conventions import CONTROL_DT, GANTRY_RANGE_M, HAND_DOF, PALM_DOF
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import FEATURES
+from dynahoi_lerobot.core.numerics import runs
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES, is_acting, one_hot_phase
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2
 
@@ -121,12 +122,8 @@ def frozen(episode: Episode) -> str | None:
     state, command = episode.state, episode.executed_action
     still = (state[1:] == state[:-1]).all(axis=1)  # (T - 1,)
     away = np.abs(command[:-1, :PALM_DOF] - state[:-1, :PALM_DOF]).max(axis=1, initial=0.0) > FROZEN_GAP_M
-    run = 0
-    for frame, stuck in enumerate(still & away):
-        run = run + 1 if stuck else 0
-        if run > FROZEN_FRAMES:
-            return f"state is frozen from frame {frame + 1 - run} on while the hand is commanded to move"
-    return None
+    begins = [start for start, end in runs(still & away) if end - start > FROZEN_FRAMES]
+    return f"state is frozen from frame {begins[0]} on while the hand is commanded to move" if begins else None
 
 
 def phase_order(episode: Episode) -> str | None:

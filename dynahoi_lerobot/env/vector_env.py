@@ -127,7 +127,8 @@ class DynahoiVectorEnv(VectorEnv):
         self.recipe = played if kind is None or kind in played.motion_names else played.changed(motions=(kind,))
         if inference is not None and self.recipe.control_mode != JOINTS:
             raise ValueError(f"inference async needs control_mode {JOINTS!r}, got {self.recipe.control_mode!r}")
-        self.autoreset_mode = _autoreset_mode(autoreset_mode)
+        mode = getattr(autoreset_mode, "value", autoreset_mode)
+        self.autoreset_mode = known("autoreset mode", mode, {one.value: one for one in AutoresetMode})
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
         self._threads, self._on_episode, self._inference = threads, on_episode, inference
         self._batch = WorldBatch(self.recipe, num_envs, threads)
@@ -444,12 +445,6 @@ def check_seed(seed: Any) -> int:
     if isinstance(seed, bool | np.bool_) or not isinstance(seed, int | np.integer) or not 0 <= seed < SEED_LIMIT:
         raise ValueError(f"a seed must be an integer from 0 to 2^40 - 1, got {seed!r}")
     return int(seed)
-
-
-def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
-    modes = {one.value: one for one in AutoresetMode}
-    name = mode.value if isinstance(mode, AutoresetMode) else mode
-    return known("autoreset mode", name, modes)
 
 
 def _of_world(batched: dict[str, Any], i: int) -> dict[str, Any]:

@@ -138,7 +138,7 @@ class Retimed(PrescribedMotion):
     """The path of another motion, traversed at another rate: r(t) = motion.r(path_s + rate (t - time_s)).
 
     Attributes:
-        motion: whose path it is; name, category and phrase are its own.
+        motion: whose path it is; this has its name, category and phrase.
         rate: how many times as fast.
         time_s: when it is [s] ...
         path_s: ... where the motion is at that time [s].
@@ -149,20 +149,9 @@ class Retimed(PrescribedMotion):
     time_s: float
     path_s: float
 
-    @property
-    def name(self) -> str:  # type: ignore[override]
-        """The registered name of the motion."""
-        return self.motion.name
-
-    @property
-    def category(self) -> str:  # type: ignore[override]
-        """The motion's category."""
-        return self.motion.category
-
-    @property
-    def phrase(self) -> str:  # type: ignore[override]
-        """How an instruction describes the motion."""
-        return self.motion.phrase
+    def __post_init__(self) -> None:
+        for attribute in ("name", "category", "phrase"):
+            object.__setattr__(self, attribute, getattr(self.motion, attribute))
 
     @classmethod
     def sample(cls, draw: Draw) -> Self:

@@ -11,7 +11,7 @@ from typing import Self
 
 import numpy as np
 
-from dynahoi_lerobot.core.agent import Agent, Expert, Meeting, Observation, WorldState
+from dynahoi_lerobot.core.agent import Actor, Agent, Expert, Meeting, Observation, WorldState
 from dynahoi_lerobot.core.conventions import DISTURBANCE_STREAM, PALM_DOF
 from dynahoi_lerobot.core.rules import ControlClass
 from dynahoi_lerobot.core.spec import EpisodeSpec
@@ -122,8 +122,11 @@ class Demonstrator(Expert):
         return known
 
 
-class LabelledAgent(Agent):
+class LabelledAgent(Actor):
     """A policy that moves the hand while a teacher labels the states it visits (DAgger; Ross et al., 2011)."""
+
+    privileged = False
+    has_memory = True
 
     def __init__(self, agent: Agent, teacher: Teacher, name: str) -> None:
         self.name, self.sees_images, self._agent, self._teacher = name, agent.sees_images, agent, teacher
@@ -135,8 +138,4 @@ class LabelledAgent(Agent):
     def commands(self, observation: Observation, world_state: Callable[[Observation], WorldState]) -> np.ndarray:
         """Return (N, 18) the commands of the policy, which sees only the observation."""
         self.labels = labels(self._teacher, world_state(observation))
-        return self.act(observation)
-
-    def act(self, observation: Observation) -> np.ndarray:
-        """Return (N, 18) the policy's commands."""
         return self._agent.act(observation)

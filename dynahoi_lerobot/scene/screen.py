@@ -13,7 +13,7 @@ from typing import Self
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT, SCREEN_STREAM
-from dynahoi_lerobot.core.numerics import arcsin, arctan2, norm, product, quat_to_matrix, tan
+from dynahoi_lerobot.core.numerics import arcsin, arctan2, norm, product, quat_to_matrix, runs, tan
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.hands.base import CAMERA_POS
@@ -158,14 +158,9 @@ def _vanishes(sight: Sight, panel: Box, behind: np.ndarray) -> bool:
     seen = (~lost[:, sight.release_frame : sight.window_frames]).sum(axis=1)
     return bool(
         sight.hidden(panel)[:, behind].all()
-        and max(map(_longest_run, lost)) <= MAX_HIDDEN_FRAMES
+        and all(end - start <= MAX_HIDDEN_FRAMES for eye in lost for start, end in runs(eye))
         and (seen >= MIN_SEEN_FRAMES).all()
     )
-
-
-def _longest_run(flags: np.ndarray) -> int:
-    """Return for how many consecutive frames ``flags`` (M,) hold at most."""
-    return max((sum(1 for _ in run) for held, run in itertools.groupby(flags) if held), default=0)
 
 
 def silhouette(eyes_w: np.ndarray, centers_w: np.ndarray, x: float, radius_m: float) -> tuple[np.ndarray, np.ndarray]:

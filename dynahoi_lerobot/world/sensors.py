@@ -98,9 +98,8 @@ class Cameras:
         ``specs`` and ``frame`` (N,) of its episodes are kept up to date by whoever plays them.
 
         Raises:
-            ValueError: for an unknown renderer, or an eye without the ObAct plugin.
+            ValueError: for an eye without the ObAct plugin.
         """
-        RENDERERS.check(recipe.renderer)
         looks = recipe.environment_state == EYE
         self.image_size = recipe.image_size or (DETECTOR_IMAGE_SIZE_PX if looks else DEFAULT_IMAGE_SIZE_PX)
         self._scene, self._batch, self._recipe, self._specs, self._frame = scene, batch, recipe, specs, frame
