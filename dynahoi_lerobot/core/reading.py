@@ -256,10 +256,10 @@ def _refuse_growth(path: Path, size: int, most: int) -> None:
         raise ReadError(f"{path} cannot be read: it expands to {size} bytes or more, beyond {most}")
 
 
-def read_arrays(path: Path, names: Collection[str], most: int = TABLE_BYTES) -> dict[str, np.ndarray]:
-    """Return some arrays of numbers of an npz file, which together take at most ``most`` bytes."""
+def read_arrays(path: Path, names: Collection[str]) -> dict[str, np.ndarray]:
+    """Return some arrays of numbers of an npz file."""
     with opened(path) as file, zipfile.ZipFile(file) as archive:
-        _refuse_growth(path, sum(archive.getinfo(f"{name}.npy").file_size for name in names), most)
+        _refuse_growth(path, sum(archive.getinfo(f"{name}.npy").file_size for name in names), TABLE_BYTES)
         return {name: _array(archive.read(f"{name}.npy")) for name in names}
 
 
@@ -291,25 +291,23 @@ def tensor_types(path: Path) -> dict[str, tuple[str, tuple[int, ...]]]:
         return {name: (tensor.get_dtype(), tuple(tensor.get_shape())) for name, tensor in slices.items()}
 
 
-def open_table(path: Path, columns: Collection[str] | None = None, most: int = TABLE_BYTES) -> pq.ParquetFile:
-    """Open a Parquet file of which some columns, all by default, take at most ``most`` bytes when they are decoded."""
+def open_table(path: Path, columns: Collection[str] | None = None) -> pq.ParquetFile:
+    """Open a Parquet file of which some columns, all by default, take at most ``TABLE_BYTES`` when they are decoded."""
     import pyarrow.parquet as pq
 
     with reading(path):
         file = pq.ParquetFile(regular(path))
-        _refuse_growth(path, _decoded_bytes(file, path, columns, most), most)
+        _refuse_growth(path, _decoded_bytes(file, path, columns), TABLE_BYTES)
         return file
 
 
-def read_table(
-    path: Path, columns: Collection[str] | None = None, filters: Any = None, most: int = TABLE_BYTES
-) -> pa.Table:
+def read_table(path: Path, columns: Collection[str] | None = None, filters: Any = None) -> pa.Table:
     """Return a Parquet file, or of it some columns, or the rows that ``filters`` of pyarrow let through."""
     import pyarrow.parquet as pq
 
     with reading(path):
         used = None if columns is None else {*columns, *(entry[0] for entry in filters or ())}
-        with open_table(path, used, most) as file:
+        with open_table(path, used) as file:
             if missing := sorted({*(used or ())} - {*file.schema_arrow.names}):
                 raise ValueError(f"it has no column {missing[0]!r}")
         names = None if columns is None else list(columns)
@@ -331,7 +329,7 @@ _PLACE = 8
 """Bytes of a value besides its content: its place in a list or in text."""
 
 
-def _decoded_bytes(file: pq.ParquetFile, path: Path, columns: Collection[str] | None, most: int) -> int:
+def _decoded_bytes(file: pq.ParquetFile, path: Path, columns: Collection[str] | None) -> int:
     """Return how large a file grows, from its footer; where that leaves it open, from its dictionaries of texts."""
     import pyarrow.parquet as pq
 
@@ -350,10 +348,10 @@ def _decoded_bytes(file: pq.ParquetFile, path: Path, columns: Collection[str] | 
             if "DELTA_BYTE_ARRAY" in chunk.encodings:
                 raise ValueError(f"its column {field.name} is stored as DELTA_BYTE_ARRAY, whose size nothing tells")
             longest = values * chunk.total_uncompressed_size
-            if chunk.physical_type == "BYTE_ARRAY" and longest > most and _DICTIONARIES & {*chunk.encodings}:
+            if chunk.physical_type == "BYTE_ARRAY" and longest > TABLE_BYTES and _DICTIONARIES & {*chunk.encodings}:
                 texts = texts or pq.ParquetFile(regular(path), read_dictionary=[leaf.path for leaf in leaves])
                 total += sum(map(_text_bytes, texts.read_row_group(group, columns=[leaf.path]).column(0).chunks))
-            if total > most:
+            if total > TABLE_BYTES:
                 return total
     return total
 
