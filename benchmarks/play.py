@@ -90,6 +90,12 @@ class Tab:
             while not await self.value(expression):
                 await asyncio.sleep(0.1)
 
+    async def press(self, keys: set[str], held: set[str]) -> None:
+        """Let ``keys`` be down, by their codes, of which some are ``held`` so far."""
+        for code in keys ^ held:
+            name, kind = " " if code == "Space" else code[-1].lower(), "keyDown" if code in keys else "keyUp"
+            await self.call("Input.dispatchKeyEvent", type=kind, code=code, key=name)
+
     async def _resize(self, width: int, height: int) -> None:
         size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
         await self.call("Emulation.setDeviceMetricsOverride", **size)
@@ -158,17 +164,10 @@ async def follow_expert(tab: Tab, world: LiveWorld) -> None:
         await tab.call("Input.dispatchMouseEvent", type="mouseMoved", **place)
         keys = {"KeyW"} if back < -DEADBAND_M else {"KeyS"} if back > DEADBAND_M else set()
         keys |= {"Space"} if np.abs(goal[PALM_DOF:] - hand.open_joints()).max() > CLOSED_RAD else set()
-        for code in keys ^ held:
-            kind = "keyDown" if code in keys else "keyUp"
-            await tab.call(
-                "Input.dispatchKeyEvent", type=kind, code=code, key=" " if code == "Space" else code[-1].lower()
-            )
+        await tab.press(keys, held)
         held = keys
         await asyncio.sleep(CONTROL_DT / 2)
-    for code in held:
-        await tab.call(
-            "Input.dispatchKeyEvent", type="keyUp", code=code, key=" " if code == "Space" else code[-1].lower()
-        )
+    await tab.press(set(), held)
 
 
 async def played(args: argparse.Namespace) -> dict[str, Any]:
