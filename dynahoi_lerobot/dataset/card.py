@@ -7,7 +7,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import yaml
@@ -55,6 +55,7 @@ def write_card(store: Store, manifest: Manifest) -> None:
     template = markdown_template(Path(__file__).with_suffix(".md").read_text())
     described = described_features(store.features)
     names = described["action"].names
+    told = {key: (feature.unit, feature.meaning) for key, feature in described.items()} | BOOKKEEPING_COLUMNS
     text = template.render(
         metadata=yaml.safe_dump(metadata, sort_keys=False).rstrip(),
         manifest=manifest,
@@ -69,7 +70,7 @@ def write_card(store: Store, manifest: Manifest) -> None:
         motions=_counts(store, "motion"),
         objects=_counts(store, "object"),
         histograms=histograms,
-        frame_columns=[_frame_column(key, entry, described) for key, entry in store.features.items()],
+        frame_columns=[_cells(key, e["dtype"], e["shape"], *told[key]) for key, e in store.features.items()],
         episode_columns=[_cells(f.key, f.dtype, _episode_shape(f), f.unit, f.meaning) for f in store.array_features],
     )
     (store.root / CARD_PATH).write_text(text, encoding="utf-8")
@@ -90,12 +91,6 @@ def _counts(store: Store, column: str) -> dict[str, tuple[int, int]]:
     names = sorted({row[column] for row in store.rows})
     groups = {name: [row["success"] for row in store.rows if row[column] == name] for name in names}
     return {name: (len(successes), sum(successes)) for name, successes in groups.items()}
-
-
-def _frame_column(key: str, entry: dict[str, Any], described: dict[str, Feature]) -> list[str]:
-    own = BOOKKEEPING_COLUMNS.get(key)
-    unit, meaning = own or (described[key].unit, described[key].meaning)
-    return _cells(key, entry["dtype"], entry["shape"], unit, meaning)
 
 
 def _episode_shape(feature: Feature) -> Sequence[object]:
