@@ -1,8 +1,11 @@
 """Training of ObAct's eye on images of random configurations, for `dynahoi pretrain`; imports torch and ObAct."""
 
+import json
 import math
 import time
+import weakref
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
@@ -19,12 +22,12 @@ from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from dynahoi_lerobot.core.conventions import EGO_VIEW
 from dynahoi_lerobot.core.files import write_atomically
-from dynahoi_lerobot.core.reading import reading, require
+from dynahoi_lerobot.core.reading import WEIGHTS_BYTES, read_text, reading, regular_zip, require
+from dynahoi_lerobot.core.working_folder import working_folder
 from dynahoi_lerobot.pretrain.recipe import PretrainRecipe
-from dynahoi_lerobot.pretrain.run_folder import STATE, RunFolder
 from dynahoi_lerobot.pretrain.snapshots import ImageStream, calibration
 
-WEIGHTS = "eye.safetensors"
+WEIGHTS, LOG, STATE = "eye.safetensors", "log.jsonl", "state.pt"
 HEAT_WEIGHT = 0.3
 WARMUP_UPDATES, GRADIENT_CLIP = 200, 5.0
 
@@ -74,6 +77,38 @@ class RenderedImages(IterableDataset):
         for save, updates in groupby(range(self._first + turn, self._recipe.updates, n_workers), lambda i: i // every):
             for _, shown in zip(updates, stream(save * every), strict=False):
                 yield shown.images, shown.place
+
+
+class RunFolder:
+    """Keeps log and saved state together: what was logged after the last save is dropped when a run resumes from it."""
+
+    def __init__(self, path: Path, task: dict[str, Any]) -> None:
+        """Claim a folder for ``task`` as long as this object lives; raises what ``working_folder`` raises."""
+        self.path = path
+        claim = ExitStack()
+        claim.enter_context(working_folder(path, task))
+        self.release = weakref.finalize(self, claim.close)
+
+    def log(self, line: dict[str, Any]) -> None:
+        """Append a line of JSON."""
+        with (self.path / LOG).open("a") as file:
+            file.write(json.dumps(line) + "\n")
+
+    def save(self, state: dict[str, Any]) -> None:
+        """Write what to go on from, whole or not at all, in place of what was saved before."""
+        whole = state | {"log": read_text(self.path / LOG)}
+        write_atomically({self.path / STATE: lambda path: torch.save(whole, path)})
+
+    def restore(self) -> dict[str, Any] | None:
+        """Return what was saved last, on the CPU, None for nothing, and let the log end there."""
+        if not (self.path / STATE).exists():
+            (self.path / LOG).unlink(missing_ok=True)
+            return None
+        with reading(self.path / STATE):
+            state = torch.load(regular_zip(self.path / STATE, WEIGHTS_BYTES), weights_only=True, map_location="cpu")
+            log = str(state["log"])
+        write_atomically({self.path / LOG: lambda path: path.write_text(log)})  # in place of a pipe or a link, too
+        return state
 
 
 class Training:

@@ -13,8 +13,8 @@ from torch.utils.data import DataLoader
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.pretrain import eye_training
+from dynahoi_lerobot.pretrain.eye_training import LOG, STATE, RunFolder
 from dynahoi_lerobot.pretrain.recipe import read_recipe
-from dynahoi_lerobot.pretrain.run_folder import LOG, STATE, RunFolder
 
 TINY_EYE = {"channels": 8, "fovea": 12}
 BATCH, UPDATES, SAVE_EVERY = 4, 7, 3
