@@ -3,6 +3,7 @@
 import asyncio
 import socket
 from dataclasses import dataclass
+from pathlib import Path
 from threading import Thread
 
 import aiohttp
@@ -13,9 +14,7 @@ from lerobot.teleoperators import make_teleoperator_from_config
 from lerobot.utils.errors import DeviceNotConnectedError
 from lerobot_robot_dynahoi import DynahoiBrowserConfig, DynahoiExpertConfig, DynahoiRobot, DynahoiRobotConfig
 
-from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.evaluate.results import read_results
-from dynahoi_lerobot.play.scores import Scores
+from dynahoi_lerobot.evaluate.results import Results, read_results
 
 FRAME_S = 0.05
 
@@ -139,15 +138,15 @@ def test_a_paused_lerobot_that_holds_the_hand_waits_in_the_first_frame_of_the_ne
     assert robot.world.finished.success
 
 
-def test_writing_the_results_of_an_episode_is_no_pause_of_lerobots(monkeypatch: pytest.MonkeyPatch):
-    clock, add = Clock(), Scores.add
+def test_writing_the_results_of_an_episode_is_no_pause_of_lerobots(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    clock, write = Clock(), Results.write
 
-    def add_slowly(scores: Scores, episode: Episode) -> None:
+    def write_slowly(results: Results) -> None:
         clock.now_s += 0.4
-        add(scores, episode)
+        write(results)
 
-    monkeypatch.setattr(Scores, "add", add_slowly)
-    robot = robot_on(clock)
+    monkeypatch.setattr(Results, "write", write_slowly)
+    robot = robot_on(clock, results_dir=tmp_path / "results")
     first = robot.world.spec.seed
     catch(robot, clock)
     robot.send_action(dict.fromkeys(robot.action_features, 0.0))
