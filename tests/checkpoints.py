@@ -27,14 +27,14 @@ FEATURES = {
 }
 
 
-def saved(config: PreTrainedConfig, folder: Path) -> Path:
-    """Write a checkpoint with random weights, none of them zero."""
+def saved(config: PreTrainedConfig, folder: Path, stats: dict[str, dict[str, torch.Tensor]] | None = None) -> Path:
+    """Write a checkpoint with random weights, none of them zero, and statistics of its normalisers."""
     torch.manual_seed(0)
     policy = get_policy_class(config.type)(config)
     for weight in policy.parameters():
         weight.data += 0.05 * torch.randn_like(weight)
     policy.save_pretrained(folder)
-    for pipeline in make_pre_post_processors(config):
+    for pipeline in make_pre_post_processors(config, dataset_stats=stats):
         pipeline.save_pretrained(folder)
     return folder
 

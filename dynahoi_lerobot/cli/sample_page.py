@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 from PIL import Image
@@ -17,7 +18,9 @@ from dynahoi_lerobot.core.conventions import PALM_DOF
 from dynahoi_lerobot.core.escaping import data_url
 from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.core.rules import is_acting
-from dynahoi_lerobot.dataset.store import frame_column
+from dynahoi_lerobot.dataset.columns import column_array
+from dynahoi_lerobot.dataset.episode_table import EpisodeRow
+from dynahoi_lerobot.dataset.store import Store, frame_column
 
 TEMPLATE = Path(__file__).with_suffix(".html")
 SHEET_COLUMNS = 12
@@ -25,21 +28,21 @@ SHEET_COLUMNS = 12
 JPEG_QUALITY = 80
 
 
-def write_sample(out: Path, dataset: Any, key: str, per_kind: int) -> int:
+def write_sample(out: Path, store: Store, key: str, per_kind: int) -> int:
     """Write a page with ``per_kind`` episodes of each kind of motion, spread evenly over a dataset; return how many.
 
-    The episode table of ``dataset``, LeRobot's, has the column ``motion``; ``key`` is that of the images to show.
+    The dataset's episode table has the column ``motion``; ``key`` is that of the images to show.
     """
-    chosen = stratified(list(dataset.meta.episodes["motion"]), per_kind)
-    columns = {name: column(dataset.root, name) for name in ("target.pose", "observation.phase")}
-    episodes = [_episode(dataset, index, key, columns) for index in chosen]
+    chosen = stratified([row["motion"] for row in store.rows], per_kind)
+    columns = {name: column(store.root, name) for name in ("target.pose", "observation.phase")}
+    episodes = [_episode(store, index, key, columns) for index in chosen]
     _scale_closing(episodes)
-    data = {"episodes": episodes, "columns": SHEET_COLUMNS, "command": removal_command(dataset.root)}
+    data = {"episodes": episodes, "columns": SHEET_COLUMNS, "command": removal_command(store.root)}
     template = Environment(autoescape=True, undefined=StrictUndefined).from_string(TEMPLATE.read_text("utf-8"))
     text = template.render(
-        title=f"{len(chosen)} of the {dataset.num_episodes} episodes of {dataset.root}",
+        title=f"{len(chosen)} of the {store.episodes} episodes of {store.root}",
         has_target=any("target" in episode for episode in episodes),
-        data=Markup(json.dumps(data).replace("<", "\\u003c")),  # so that it cannot end the script element
+        data=Markup(json.dumps(data, allow_nan=False).replace("<", "\\u003c")),  # it cannot end the script element
     )
     write_atomically({out: lambda draft: draft.write_text(text, encoding="utf-8")})
     return len(chosen)
@@ -54,13 +57,10 @@ def stratified(kinds: list[str], per_kind: int) -> list[int]:
     return [found[kind][round(place)] for kind in sorted(found) for place in spread[kind]]
 
 
-def read_episode(dataset: Any, index: int, key: str) -> tuple[range, list[dict[str, Any]], np.ndarray]:
-    """Return an episode's T frames within the dataset, the item of each, and its (T, H, W, 3) uint8 images ``key``."""
-    row = dataset.meta.episodes[index]
-    frames = range(int(row["dataset_from_index"]), int(row["dataset_to_index"]))
-    items = [dataset[i] for i in frames]
-    images = [(item[key].numpy().transpose(1, 2, 0) * 255).round().astype(np.uint8) for item in items]
-    return frames, items, np.stack(images)
+def read_episode(store: Store, index: int, key: str) -> tuple[EpisodeRow, pa.Table, np.ndarray]:
+    """Return an episode's row, its T frames, and its (T, H, W, 3) uint8 images ``key``."""
+    table = store.frames(row := store.row(index))
+    return row, table, store.images(row, table, key)
 
 
 def removal_command(root: Path) -> str:
@@ -79,11 +79,12 @@ def column(root: Path, name: str) -> np.ndarray | None:
         return None
 
 
-def _episode(dataset: Any, index: int, key: str, columns: dict[str, np.ndarray | None]) -> dict[str, Any]:
+def _episode(store: Store, index: int, key: str, columns: dict[str, np.ndarray | None]) -> dict[str, Any]:
     """Return what the page shows of an episode; positions are (T, 3) lists [m], home frame."""
-    row, (frames, items, images) = dataset.meta.episodes[index], read_episode(dataset, index, key)
-    state, action = (np.stack([item[name].numpy() for item in items]) for name in ("observation.state", "action"))
-    grasp = dataset.meta.features["action"]["names"] == [*CONTROL_MODES[GRASP]]
+    row, table, images = read_episode(store, index, key)
+    frames = slice(row["dataset_from_index"], row["dataset_to_index"])
+    state, action = (column_array(table, name) for name in ("observation.state", "action"))
+    grasp = store.features["action"]["names"] == [*CONTROL_MODES[GRASP]]
     goal = action[:, :PALM_DOF] + (state[:, :PALM_DOF] if grasp else 0.0)
     closing = {"palm": state[:, PALM_DOF:].mean(axis=1), "action": action[:, PALM_DOF:].mean(axis=1)}
     told = {"palm": state[:, :PALM_DOF], "action": goal}
@@ -92,8 +93,8 @@ def _episode(dataset: Any, index: int, key: str, columns: dict[str, np.ndarray |
     phase = columns["observation.phase"]
     window = 0 if phase is None else int((~is_acting(phase[frames])).sum())
     return {
-        "index": index, "kind": row["motion"], "task": str(items[0]["task"]), "success": bool(row.get("success", True)),
-        "frames": len(items), "window": window, "grasp": grasp, "closing": closing,
+        "index": index, "kind": row["motion"], "task": row["tasks"][0], "success": bool(row.get("success", True)),
+        "frames": len(images), "window": window, "grasp": grasp, "closing": closing,
         "sheet": _sheet(images),
     } | {name: np.round(values, 4).tolist() for name, values in told.items()}  # fmt: skip
 

@@ -5,7 +5,6 @@ With ``--sample`` a page of several episodes of a dataset.
 
 import html
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ from dynahoi_lerobot.core.features import IMAGE_PREFIX
 from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.core.reading import reading
 from dynahoi_lerobot.core.rules import is_acting
-from dynahoi_lerobot.dataset.store import open_dataset
+from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.evaluate.arguments import EXPERT_ALIAS, TRAINED_FOR, TRUST, make_actor, playing_rules
 from dynahoi_lerobot.evaluate.gif import encode_gif, frame_phases, phases_of
 from dynahoi_lerobot.evaluate.results import read_results
@@ -43,13 +42,11 @@ class Clip:
         frames: (T, H, W, 3) uint8 RGB.
         caption: one line of text.
         phases: ``observing``, ``acting`` or ``localized`` for each frame; None if they are not known.
-        fps: frames per second.
     """
 
     frames: np.ndarray
     caption: str
     phases: list[str] | None
-    fps: float = CONTROL_HZ
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,14 +108,14 @@ def _sample(per_kind: int, options: Options) -> int:
         raise ValueError("--sample takes its episodes from --dataset DIR")
     if options.out.suffix != ".html":
         raise ValueError(f"--sample writes a web page, so --out must end in .html, got {options.out}")
-    dataset = open_dataset(options.dataset)
-    if dataset.meta.episodes is None or "motion" not in dataset.meta.episodes.column_names:
+    (store := Store(options.dataset)).check_files()
+    if not all("motion" in row for row in store.rows):
         raise ValueError(
             f"{options.dataset} does not name the motions of its episodes, so there is nothing to stratify by"
         )
-    key = _camera_key(options, dataset)
+    key = _camera_key(options, store)
     with reading(options.dataset):
-        shown = write_sample(options.out, dataset, key, per_kind)
+        shown = write_sample(options.out, store, key, per_kind)
     print(f"{options.out}: {shown} episodes of {options.dataset}; mark some to see the command that removes them")
     return 0
 
@@ -161,7 +158,7 @@ def _replayed(folder: Path, options: Options) -> Clip:
     index = seeds.index(options.seed)
     size = options.rules.get("image_size", recipe.image_size or DEFAULT_IMAGE_SIZE_PX)
     shown = replace(recipe, image_size=size, views=() if options.view == "ego" else (options.view,))
-    (episode,) = replay(shown, [results.log(index)])
+    (episode,) = replay(shown, [results.log(index)], as_evaluated=True)  # a log may go on for days
     return _clip(episode, options.view, results.info.policy)
 
 
@@ -172,25 +169,26 @@ def _clip(episode: Episode, view: str, agent: str) -> Clip:
 
 
 def _from_dataset(root: Path, options: Options) -> Clip:
-    """Read an episode of a dataset with LeRobot."""
-    dataset = open_dataset(root)
-    if not 0 <= options.episode < dataset.num_episodes:
-        raise ValueError(f"--episode must be 0 to {dataset.num_episodes - 1}, got {options.episode}")
-    key = _camera_key(options, dataset)
+    """Read an episode of a dataset."""
+    (store := Store(root)).check_files()
+    if not 0 <= options.episode < store.episodes:
+        raise ValueError(f"--episode must be 0 to {store.episodes - 1}, got {options.episode}")
+    key = _camera_key(options, store)
     with reading(root):
-        frames, items, images = read_episode(dataset, options.episode, key)
-    return Clip(images, str(items[0]["task"]), _stored_phases(root, frames), dataset.fps)
+        row, _, images = read_episode(store, options.episode, key)
+        frames = slice(row["dataset_from_index"], row["dataset_to_index"])
+        return Clip(images, str(row["tasks"][0]), _stored_phases(root, frames))
 
 
-def _camera_key(options: Options, dataset: Any) -> str:
+def _camera_key(options: Options, store: Store) -> str:
     """Return the key of the chosen view's images."""
-    if (key := IMAGE_PREFIX + options.view) not in dataset.meta.camera_keys:
-        cameras = ", ".join(dataset.meta.camera_keys) or "none at all"
+    if (key := IMAGE_PREFIX + options.view) not in store.image_keys:
+        cameras = ", ".join(store.image_keys) or "none at all"
         raise ValueError(f"{options.dataset} has no view {options.view!r}, only {cameras}")
     return key
 
 
-def _stored_phases(root: Path, frames: range) -> list[str] | None:
+def _stored_phases(root: Path, frames: slice) -> list[str] | None:
     """Return the phase of each frame, None if the dataset lacks it."""
     phase, localized = (column(root, name) for name in ("observation.phase", "localized"))
     if phase is None or localized is None:
@@ -216,7 +214,7 @@ def write_clip(path: Path, clip: Clip) -> None:
 
 
 def _gif(clip: Clip) -> bytes:
-    return encode_gif(clip.frames, fps=clip.fps, caption=clip.caption, phases=clip.phases, min_width=MIN_WIDTH_PX)
+    return encode_gif(clip.frames, fps=CONTROL_HZ, caption=clip.caption, phases=clip.phases, min_width=MIN_WIDTH_PX)
 
 
 def _write_html(path: Path, clip: Clip) -> None:
@@ -231,7 +229,7 @@ def _write_mp4(path: Path, clip: Clip) -> None:
     odd = [(0, side % 2) for side in clip.frames.shape[1:3]]  # yuv420p halves both sides
     frames = np.pad(clip.frames, [(0, 0), *odd, (0, 0)], mode="edge")
     with av.open(str(path), "w", format="mp4") as video:
-        stream = video.add_stream("h264", rate=Fraction(clip.fps).limit_denominator(1000))
+        stream = video.add_stream("h264", rate=CONTROL_HZ)
         stream.width, stream.height, stream.pix_fmt = frames.shape[2], frames.shape[1], "yuv420p"
         for frame in frames:
             video.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -79,7 +80,9 @@ def changed_files(root: Path, manifest: Manifest) -> list[str]:
     The card may differ: people edit theirs, and LeRobot's ``push_to_hub`` writes its own.
     """
     there = [(root / name, digest) for name, digest in manifest.files.items() if _is_inside(name) and name != CARD_PATH]
-    return [path.relative_to(root).as_posix() for path, digest in there if path.is_file() and sha256(path) != digest]
+    return [
+        path.relative_to(root).as_posix() for path, digest in there if os.path.isfile(path) and sha256(path) != digest
+    ]
 
 
 def _is_inside(name: str) -> bool:
@@ -94,7 +97,7 @@ def structure_problems(root: Path, manifest: Manifest) -> Iterator[str]:
     for name in manifest.files:
         if not _is_inside(name):
             yield f"the manifest names {name!r}, outside the dataset"
-        elif name != CARD_PATH and not (root / name).is_file():
+        elif name != CARD_PATH and not os.path.isfile(root / name):  # which takes any name, however long
             yield f"{name} is missing"
     yield from _strays(root, manifest)
 

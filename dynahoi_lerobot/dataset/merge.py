@@ -86,8 +86,7 @@ def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest
     with reading(root / MANIFEST_PATH):
         require(told := {"limits": {}} | manifest.provenance, {"limits": FileLimits})
         limits = FileLimits(**told["limits"])
-    with reading(root, OSError):  # which is of the folder that is written
-        return _assemble(output, [(store, kept)], limits, manifest.provenance | {"kept": sorted(kept)}, {})
+    return _assemble(output, [(store, kept)], limits, manifest.provenance | {"kept": sorted(kept)}, {})
 
 
 def _assemble(
@@ -99,8 +98,9 @@ def _assemble(
 ) -> Manifest:
     """Write a dataset of stored episodes: of each source those with the given indices, None for all."""
     first = sources[0][0]
-    columns = first.array_features
-    with new_folder(root) as folder, DatasetWriter(folder, columns, limits=limits, features=first.features) as writer:
+    columns, options = first.array_features, {"limits": limits, "features": first.features}
+    # an OSError is of the folder that is written
+    with reading(first.root, OSError), new_folder(root) as folder, DatasetWriter(folder, columns, **options) as writer:
         for store, kept in sources:
             opened: dict[str, Opened] = {}
             for index, (row, table) in enumerate(store.stored_episodes()):

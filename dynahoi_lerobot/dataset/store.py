@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from functools import cached_property
 from pathlib import Path
@@ -14,6 +15,7 @@ from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import CAMERA_KEY, EPISODE_TABLE_PREFIX, IMAGE_PREFIX, Feature, episode_features
 from dynahoi_lerobot.core.reading import (
+    TABLE_BYTES,
     TEXT_BYTES,
     ReadError,
     fits,
@@ -96,7 +98,11 @@ def frame_column(root: Path, key: str) -> np.ndarray:
     """
     store = Store(root)
     if key in numeric_keys(store.features):
-        return np.concatenate([column_array(store.table(path, [key]), key) for path in store.data_files()])
+        tables = [store.table(path, [*{"index", key}]) for path in store.data_files()]
+        index, values = (np.concatenate([column_array(table, name) for table in tables]) for name in ("index", key))
+        if not np.array_equal(index[:, 0], np.arange(len(values))):
+            raise ValueError(f"{root} holds its frames in another order; see `dynahoi verify`")
+        return values
     feature = store.array_feature(key)
     if feature is None or feature.per != "frame":
         raise ValueError(f"{root} has no column {key!r} with a row per frame")
@@ -212,8 +218,11 @@ class Store:
                 places = [name for name in row if name.startswith("videos/") and name.endswith("_index")]
                 if wrong := [name for name in (*PLACE, *places) if not fits(row.get(name), int) or row[name] < 0]:
                     raise ReadError(f"{path} says {wrong[0]} of an episode is {row.get(wrong[0])!r}")
-                if row["length"] > self.frame_count:
-                    raise ReadError(f"{path} has an episode of {row['length']} frames, beyond all {self.frame_count}")
+                first = rows[-1]["dataset_to_index"] if rows else 0
+                place = (len(rows), row["length"], first, first + row["length"])
+                if not row["length"] or place[3] > self.frame_count or place != tuple(row[name] for name in PLACE[:4]):
+                    told = ", ".join(f"{name} {row[name]}" for name in PLACE[:4])
+                    raise ReadError(f"{path} places episode {len(rows)} at {told}, of {self.frame_count} frames")
                 rows.append(row)
         return rows
 
@@ -271,16 +280,34 @@ class Store:
 
     def frames(self, row: EpisodeRow) -> pa.Table:
         """Return the episode's rows of the frame table; ValueError if their file is missing or damaged."""
-        return self.table(self.data_path(row), episode=row["episode_index"])
+        return self._own(row, self.table(self.data_path(row), episode=row["episode_index"]))
+
+    def _own(self, row: EpisodeRow, table: pa.Table) -> pa.Table:
+        """Return rows of the frame table that must be the frames of an episode, all of them and in order."""
+        with reading(path := self.data_path(row)):
+            wanted = np.arange(row["dataset_from_index"], row["dataset_to_index"])
+            if not np.array_equal(column_array(table, "index")[:, 0], wanted):
+                raise ReadError(f"{path} does not hold the frames of episode {row['episode_index']} in their order")
+        return table
 
     def images(self, row: EpisodeRow, table: pa.Table, key: str) -> np.ndarray:
         """Return the episode's images of a view, (T, H, W, 3) uint8 RGB."""
-        if not self.has_video:
-            with reading(self.data_path(row)):
-                return np.stack([read_png(cell) for cell in table[key].to_pylist()])
-        with reading(path := self.video_path(row, key)):
-            start = round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ)
-            return np.stack(list(decode(path, start, start + row["length"])))
+        with reading(path := self.video_path(row, key) if self.has_video else self.data_path(row)):
+            if math.prod(shape := (row["length"], *self.features[key]["shape"])) > TABLE_BYTES:
+                raise ValueError(f"images of shape {shape} take more than {TABLE_BYTES} bytes")
+            if self.has_video:
+                start = round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ)
+                shown = decode(path, start, start + row["length"])
+            else:
+                shown = (read_png(cell) for cell in table[key].to_pylist())
+            images = np.empty(shape, np.uint8)
+            for place, image in zip(range(row["length"]), shown, strict=True):
+                if image.shape != shape[1:]:
+                    raise ValueError(
+                        f"it shows an image of shape {image.shape}; {self.root / INFO_PATH} says {shape[1:]}"
+                    )
+                images[place] = image
+            return images
 
     def row(self, index: int) -> EpisodeRow:
         """Return an episode's row with all its columns; IndexError if there is no such episode."""
@@ -305,8 +332,8 @@ class Store:
             ValueError: if a file is missing or damaged.
         """
         path, table, used = Path(), pa.table({}), 0
-        for row in self.full_rows():
+        for row in self.full_rows() if self.rows else ():  # which are checked
             if (holder := self.data_path(row)) != path:
                 path, table, used = holder, self.table(holder), 0
-            yield row, table.slice(used, row["length"]).combine_chunks()
+            yield row, self._own(row, table.slice(used, row["length"]).combine_chunks())
             used += row["length"]

@@ -6,6 +6,7 @@ random weights where a checkpoint has none. ``docs/notes/trust.md`` says what is
 
 import inspect
 import os
+import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -44,8 +45,10 @@ PLUGINS = {"obact": "lerobot_policy_obact"} | dict.fromkeys(("actiontokens", "up
 STEPS = ("lerobot.policies.", "lerobot.processor.")
 LOADING_STEPS = "lerobot.processor.hil_processor"
 """Modules whose processor steps a checkpoint may name without ``--trust``, and one of which loads a second one."""
-LARGEST_NUMBER, LARGEST_SIZE, LARGEST_EPS = 10**7, 10**4, 0.01
-"""Largest number in the config of a policy, in the shape of a feature, and that a normaliser adds to a deviation."""
+LARGEST = {"resize|^num_.*step|iterations": 1024, "shape|chunk|horizon|samples|n_(obs|action)_steps": 10**4, "": 10**7}
+"""Largest number in the config of a policy, by what its key holds: what is repeated or made larger for each action."""
+LARGEST_EPS = 0.01
+"""Largest number that a normaliser adds to a deviation."""
 FLOATS, OTHERS = ("F64", "F32", "F16", "BF16"), {"int64": "I64", "int32": "I32", "uint8": "U8", "bool": "BOOL"}
 """Types in a file of weights: those that stand for each other, and those of tensors of torch's other types."""
 FACTOR, TENSORS, ELEMENTS = 4, 1000, 10**6
@@ -296,7 +299,8 @@ def _config(folder: Path, settings: Sequence[str]) -> Any:
 
     told = read_object(folder / CONFIG)
     for key, value in _entries(told):
-        low, high = (1, LARGEST_SIZE) if key == "shape" else (-LARGEST_NUMBER, LARGEST_NUMBER)
+        high = next(most for part, most in LARGEST.items() if re.search(part, key))
+        low = 1 if key == "shape" else -high
         if isinstance(value, int | float) and not low <= value <= high:
             raise PolicyError(f"{folder / CONFIG} says {key} is {value}; it must be {low} to {high}")
     if (kind := told.get("type")) not in PreTrainedConfig.get_known_choices():
@@ -381,8 +385,10 @@ def _check_statistics(file: Path, pipeline: Any, config: Any) -> None:
             for name in STATISTICS[mode]:
                 if (values := step.stats.get(key, {}).get(name)) is None:
                     raise PolicyError(f"{file} normalises {key}, and its statistics lack the {name} of that")
-                if not np.isfinite(values).all():
-                    raise PolicyError(f"{file} normalises {key} by a {name} that is not finite")
+                with reading(file):
+                    fits = np.broadcast_shapes(np.shape(values), shape := tuple(feature.shape)) == shape
+                if not (fits and np.isfinite(values).all()):
+                    raise PolicyError(f"{file} normalises {key} by a {name} that is not finite, or not of its shape")
     needed = config.output_features if "post" in file.name else config.input_features
     for key, feature in needed.items():
         mode = getattr(config.normalization_mapping.get(feature.type.value), "value", "IDENTITY")

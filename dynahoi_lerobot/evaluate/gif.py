@@ -100,6 +100,7 @@ def _page(frame: np.ndarray, phase: str | None, caption: str, scale: int) -> np.
 def _captioned(page: np.ndarray, caption: str) -> np.ndarray:
     height, width = page.shape[:2]
     page = cv2.copyMakeBorder(page, 0, CAPTION_PX, 0, 0, cv2.BORDER_CONSTANT, value=STRIP)
+    caption = caption[:width]  # no character is narrower than a pixel
     sizes = [cv2.getTextSize(caption[:end], FONT, FONT_SCALE, 1)[0] for end in range(len(caption) + 1)]
     fitting = [end for end, (text_width, _) in enumerate(sizes) if text_width <= width - 8]
     shown = caption if fitting[-1] == len(caption) else caption[: max(fitting[-1] - 2, 0)].rstrip() + ".."

@@ -14,8 +14,9 @@ from tqdm import tqdm
 
 from dynahoi_lerobot.core.arguments import given_of, number, option, refuse_given, whole
 from dynahoi_lerobot.core.files import check_output
+from dynahoi_lerobot.core.reading import reading
 from dynahoi_lerobot.dataset.manifest import Manifest
-from dynahoi_lerobot.dataset.paths import FileLimits, check_root
+from dynahoi_lerobot.dataset.paths import MANIFEST_PATH, FileLimits, check_root
 from dynahoi_lerobot.dataset.video import Encoding
 from dynahoi_lerobot.evaluate.arguments import TRUST
 from dynahoi_lerobot.generate.actor import actor_name, make_actor, open_policy, runtime
@@ -152,15 +153,15 @@ def _encoding(options: Options) -> Encoding:
 
 
 def _summary(root: Path, manifest: Manifest) -> dict[str, Any]:
-    size = sum((root / name).stat().st_size for name in manifest.files)
-    yields = manifest.yields
-    return {
-        "root": str(root),
-        "episodes": manifest.episodes,
-        "frames": manifest.frames,
-        "megabytes": round(size / 1e6, 1),
-        "yield": round((yields["kept"] - yields["failed"]) / yields["tried"], 4),
-        "failed": yields["failed"],
-        "rejected": yields["rejected"],
-        "sha256": manifest.digest,
-    }
+    size, yields = sum((root / name).stat().st_size for name in manifest.files), manifest.yields
+    with reading(root / MANIFEST_PATH):
+        return {
+            "root": str(root),
+            "episodes": manifest.episodes,
+            "frames": manifest.frames,
+            "megabytes": round(size / 1e6, 1),
+            "yield": round((yields["kept"] - yields["failed"]) / yields["tried"], 4),
+            "failed": yields["failed"],
+            "rejected": yields["rejected"],
+            "sha256": manifest.digest,
+        }

@@ -197,7 +197,7 @@ class ShardMaker:
         problems = {shard: problem for shard in present if (problem := self.problem(shard))}
         for shard, problem in problems.items():
             logger.warning("%s is made again: %s", self.path(shard), problem)
-            shutil.rmtree(self.path(shard))
+            self.path(shard).unlink() if self.path(shard).is_symlink() else shutil.rmtree(self.path(shard))
         return list(problems)
 
     def merge(self, root: Path) -> Manifest:

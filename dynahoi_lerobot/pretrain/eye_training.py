@@ -60,6 +60,13 @@ def _heat_loss(heat: Tensor, true: Tensor) -> Tensor:
     return -heat[torch.arange(len(heat)), cell[:, 1], cell[:, 0]] * (place == cell).all(-1)
 
 
+def _alike(saved: Any, wanted: Tensor) -> bool:
+    """Tell whether what was saved is a tensor like the one that is wanted, the same if that is a number, and finite."""
+    if not isinstance(saved, Tensor) or (saved.shape, saved.dtype) != (wanted.shape, wanted.dtype):
+        return False
+    return bool(saved.isfinite().all() and wanted.isfinite().all()) and (wanted.dim() > 0 or saved.equal(wanted))
+
+
 class RenderedImages(IterableDataset):
     """What an eye is shown in the updates from ``first`` on: images ``(F, H, W, 6)`` uint8 and places ``(F, 3)`` [m].
 
@@ -141,13 +148,21 @@ class Training:
         self._folder = RunFolder(recipe.out, draccus.encode(replace(recipe, out=Path())))
         with reading(recipe.out / STATE):
             if state := self._folder.restore():
-                require(state, {"updates": int, "processor_s": float})
+                require(state, {"updates": int, "processor_s": float, "weights": dict, "optimizer": dict, "log": str})
                 self.n_updates, self._spent_s = state["updates"], state["processor_s"]
                 if not 1 <= self.n_updates <= recipe.updates or not 0 <= self._spent_s < math.inf:
                     told = f"{self.n_updates} updates in {self._spent_s} s"
                     raise ValueError(f"it says {told}; it must be 1 to {recipe.updates}, in 0 s or more")
                 self._eye.load_state_dict(state["weights"])
-                self.optimizer.load_state_dict(state["optimizer"])
+                require(state["optimizer"], {"state": dict[int, dict[str, Any]]})
+                moments = state["optimizer"]["state"]
+                for place, weight in enumerate(self._eye.parameters()):
+                    wanted = {"step": torch.tensor(float(self.n_updates)), "exp_avg": weight, "exp_avg_sq": weight}
+                    held = moments.get(place, {})
+                    if wrong := [name for name in wanted if not _alike(held.get(name), wanted[name])]:
+                        raise ValueError(f"weight {place} or its {wrong[0]} is not that of {self.n_updates} updates")
+                groups = self.optimizer.state_dict()["param_groups"]  # the recipe's, whatever the file says
+                self.optimizer.load_state_dict({"state": moments, "param_groups": groups})
 
     @property
     def finished(self) -> bool:

@@ -42,6 +42,9 @@ def verdict_problems(episode: Episode, hand: str | None) -> Iterator[str]:
         return
     if hand is not None and (problem := _fingertips(episode, hand)):
         yield problem
+    if not 0 <= episode.meta.window_frames < len(episode):
+        yield f"it is observed for {episode.meta.window_frames} of its {len(episode)} frames"
+        return
     rule = CAPTURES[episode.meta.capture]()
     tips = tip_distances(episode)  # (T, 5)
     yield from filter(None, (_palm(episode), _tips(episode, tips), _contacts(episode, rule, tips)))

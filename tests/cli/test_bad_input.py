@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from dynahoi_lerobot.cli import main as cli
+from tests.verify.test_forgeries import DATA, ROWS, column, swapped
 
 GENERATE = "generate --root made --episodes 1 --motions constant"
 CASES = [
@@ -101,6 +102,10 @@ DAMAGES: list[tuple[Callable[[Path], object], str]] = [
     (overwrite("data/*/*"), "data/chunk-000/file-000.parquet cannot be read"),
     (lambda root: shutil.rmtree(root / "data"), "there is no file in data"),
     (overwrite("videos/*/*/*"), "file-000.mp4"),
+    (column(ROWS, "length", lambda lengths: [0, *lengths[1:]]), "file-000.parquet places episode 0 at episode_index 0"),
+    (column(ROWS, "episode_index", swapped), "places episode 0 at episode_index 1"),
+    (column(ROWS, "dataset_to_index", lambda ends: [2**62, *ends[1:]]), "dataset_to_index 4611686018427387904"),
+    (column(DATA, "index", lambda numbers: numbers[::-1]), "holds its frames in another order"),
 ]
 
 

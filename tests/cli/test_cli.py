@@ -3,6 +3,9 @@
 import base64
 import io
 import json
+import math
+import shutil
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -19,6 +22,7 @@ from dynahoi_lerobot.dataset import frame_column
 from dynahoi_lerobot.evaluate.gif import BORDERS
 from dynahoi_lerobot.evaluate.results import read_results
 from tests.evaluate.test_gif import pages, total_ms
+from tests.verify.test_forgeries import DATA, column
 
 
 @pytest.mark.parametrize("what", sorted(LISTS))
@@ -62,6 +66,10 @@ def test_an_evaluation_goes_on_where_it_stopped_and_its_episodes_are_shown(tmp_p
         assert said.endswith(f" {stage}\n")
         shown[view] = film.read_bytes()
     assert shown["side"] != shown["ego"]
+    results = read_results(out)
+    replace(results, actions=tuple(np.concatenate([log] * 9) for log in results.actions)).write()
+    assert cli.main(["view", "--results", str(out), *words]) == 0
+    assert film.read_bytes() == shown["side"], "a log may be longer than its episode"
     assert cli.main(["view", "--results", str(out), "--seed", "7", "--out", str(film)]) == 2
     assert "has no episode with seed 7; it has 0 to 2" in capsys.readouterr().err
 
@@ -110,6 +118,9 @@ def test_a_sample_shows_what_the_dataset_holds_in_step(dataset: Path, tmp_path: 
     pose, action = (frame_column(dataset, key)[-last["frames"] :] for key in ("target.pose", "action"))
     np.testing.assert_allclose(last["target"], pose[:, :3], atol=1e-4)
     np.testing.assert_allclose(last["action"], action[:, :3], atol=1e-4)
+    holed = shutil.copytree(dataset, tmp_path / "holed")
+    column(DATA, "observation.state", lambda rows: [[math.nan] * 18] * len(rows))(holed)
+    assert view("--dataset", holed, "--sample", 2, "--out", out) == 2, "no page can read NaN"
     sheet = Image.open(io.BytesIO(base64.b64decode(last["sheet"].split(",")[1])))
     side = sheet.width // page["columns"]
     assert sheet.height // side == -(-last["frames"] // page["columns"])

@@ -14,9 +14,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import torch
-from lerobot.configs import PolicyFeature
+from lerobot.configs import NormalizationMode, PolicyFeature
+from lerobot_policy_obact import ObActConfig
 from safetensors.torch import load_file, save_file
 
+from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.reading import (
     ReadError,
     fits,
@@ -28,11 +30,15 @@ from dynahoi_lerobot.core.reading import (
     read_yaml,
     tensor_types,
 )  # fmt: skip
+from dynahoi_lerobot.dataset import read_episodes
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store, open_dataset
+from dynahoi_lerobot.dataset.video import Encoding
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import RunInfo, read_results
 from dynahoi_lerobot.sampling.recipe import Recipe
+from tests.checkpoints import saved, tiny_diffusion
+from tests.dataset.episodes import write
 from tests.synthetic import synthetic_episode, write_results
 from tests.tools import edit_json
 
@@ -107,6 +113,21 @@ def test_no_place_takes_a_hostile_file(kind: str, request: pytest.FixtureRequest
             opener(whole)
         assert "\n" not in str(refused.value), name
         shutil.rmtree(whole)
+
+
+def test_an_image_is_what_its_cell_holds_and_as_large_as_the_dataset_says(tmp_path: Path, capsys) -> None:
+    root = write(tmp_path / "d", range(1), encoding=Encoding("images"))
+    rows = pq.read_table(path := root / "data/chunk-000/file-000.parquet")
+    os.mkfifo(tmp_path / "pipe")
+    images = pa.array([{"bytes": None, "path": str(tmp_path / "pipe")}] * len(rows))
+    pq.write_table(
+        rows.set_column(rows.schema.names.index("observation.images.ego"), "observation.images.ego", images), path
+    )
+    assert main(["view", "--dataset", str(root), "--episode", "0", "--out", str(tmp_path / "x.gif")]) == 2
+    assert str(path) in capsys.readouterr().err
+    edit_json(root / "meta/info.json", lambda info: info["features"]["observation.images.ego"].update(shape=[4096] * 3))
+    with pytest.raises(ReadError, match="take more than"):
+        list(read_episodes(root))
 
 
 VALUES: list[Any] = [None, True, -1, 10**30, float("nan"), "", "x", [], [None], {}, {"x": {}}, "\ud800"]
@@ -260,7 +281,20 @@ def test_other_weights_statistics_and_sizes_are_refused(actor: Path, tmp_path: P
         edit_json(folder / "config.json", lambda config, change=change: config.update(change))
         with pytest.raises(ReadError, match=r"larger policy|more than|n_layers"):
             play_nothing(folder)
+    for key, number in (("num_train_timesteps", 10**7), ("horizon", 10**6), ("crop_ratio", 10.0**8)):
+        folder = tiny_diffusion(tmp_path / key)
+        edit_json(folder / "config.json", lambda config, key=key, number=number: config.update({key: number}))
+        with pytest.raises(ReadError, match=f"says {key} is {number}; it must be"):
+            play_nothing(folder)
     folder = shutil.copytree(actor, tmp_path / "statistics")
     edit_json(folder / "config.json", lambda config: config["normalization_mapping"].update(STATE="MEAN_STD"))
     with pytest.raises(ReadError, match=r"observation\.state"):
         play_nothing(folder)
+    config = ObActConfig.from_pretrained(actor)
+    config.normalization_mapping["STATE"] = NormalizationMode.MEAN_STD
+    ones = {"std": torch.ones(18)}
+    play_nothing(saved(config, tmp_path / "fitting", {"observation.state": ones | {"mean": torch.zeros(18)}}))
+    for shape in ((18, 18), (17,)):
+        folder = saved(config, tmp_path / str(shape), {"observation.state": ones | {"mean": torch.zeros(shape)}})
+        with pytest.raises(ReadError, match=r"policy_preprocessor\.json"):
+            play_nothing(folder)

@@ -171,13 +171,19 @@ def test_a_log_that_leads_elsewhere_is_replaced(tmp_path: Path):
         ({"processor_s": float("nan")}, "in nan s; it must be"),
         ({"processor_s": "1"}, "processor_s must be of type float"),
         ({"weights": {}}, "Missing key"),
+        ({"weights": lambda weights: [weight.fill_(torch.inf) for weight in weights.values()]}, "weight 0"),
+        ({"optimizer": lambda saved: saved["state"][1].update(exp_avg=torch.zeros(2))}, "weight 1 or its exp_avg"),
+        ({"optimizer": lambda saved: saved["state"][2]["step"].sub_(1)}, "2 or its step is not that of 7 updates"),
+        ({"optimizer": lambda saved: saved.update(state="x")}, "state must be of type"),
     ],
 )
 def test_a_saved_state_that_no_run_has_is_refused(change: dict, told: str, finished, tmp_path, capsys):
     recipe = tiny_recipe(tmp_path)
     shutil.copytree(finished, tmp_path / "eye")
     state = torch.load(tmp_path / "eye" / STATE, weights_only=True)
-    torch.save(state | change, tmp_path / "eye" / STATE)
+    for name, value in change.items():
+        value(state[name]) if callable(value) else state.update({name: value})
+    torch.save(state, tmp_path / "eye" / STATE)
     assert main(["pretrain", "--recipe", str(recipe)]) == 2
     said = capsys.readouterr().err
     assert f"{tmp_path / 'eye' / STATE} cannot be read" in said

@@ -20,6 +20,7 @@ from dynahoi_lerobot.metrics import METRICS, measure
 from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.verify.command import Finding, drawn_evenly, verify
+from dynahoi_lerobot.verify.verdicts import verdict_problems
 from tests.dataset.episodes import changed, rewrite, sign, write
 from tests.tools import edit_json, flip_byte, generated
 from tests.verify.test_forgeries import column
@@ -64,6 +65,12 @@ def test_every_metric_follows_from_what_is_stored(sound):
     for episode in read_episodes(sound, images=False):
         assert measure(episode) == measure(made[episode.meta.seed])
         assert measure(episode).keys() == set(METRICS.names())
+
+
+def test_an_episode_that_is_observed_beyond_its_end_takes_no_memory(sound):
+    episode = next(read_episodes(sound, images=False))
+    watched = dataclasses.replace(episode, meta=dataclasses.replace(episode.meta, window_frames=2**45))
+    assert list(verdict_problems(watched, None)) == [f"it is observed for {2**45} of its {len(episode)} frames"]
 
 
 FILES: dict[str, Callable[[Path], object]] = {
