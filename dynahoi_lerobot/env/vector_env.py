@@ -127,7 +127,7 @@ class DynahoiVectorEnv(VectorEnv):
         self.recipe = played if kind is None or kind in played.motion_names else played.changed(motions=(kind,))
         if inference is not None and self.recipe.control_mode != JOINTS:
             raise ValueError(f"inference async needs control_mode {JOINTS!r}, got {self.recipe.control_mode!r}")
-        mode = getattr(autoreset_mode, "value", autoreset_mode)
+        mode = autoreset_mode.value if isinstance(autoreset_mode, AutoresetMode) else autoreset_mode
         self.autoreset_mode = known("autoreset mode", mode, {one.value: one for one in AutoresetMode})
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
         self._threads, self._on_episode, self._inference = threads, on_episode, inference

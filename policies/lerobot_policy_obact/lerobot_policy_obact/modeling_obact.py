@@ -214,7 +214,12 @@ class ObActPolicy(PreTrainedPolicy):
         if dataset_meta is not None:
             from .recordings import describe
 
-            config.rig = describe(dataset_meta, config.cameras)
+            knew, config.rig = config.forecasts, describe(dataset_meta, config.cameras)
+            if config.pretrained_path and knew and not config.forecasts:
+                raise ValueError(
+                    f"{config.pretrained_path} learned from the target's path, which {dataset_meta.repo_id} lacks; "
+                    "train from random weights, or record with dynahoi generate --actor"
+                )
             if config.forecasts and config.input_features:  # it reads no other vectors, which a robot may not have
                 read = {*config.cameras, OBS_STATE}
                 config.input_features = {key: x for key, x in config.input_features.items() if key in read}

@@ -561,3 +561,11 @@ def test_another_process_without_the_core_acts_the_same_and_trains(hand_root: Pa
     python("-c", ALONE, tmp_path / "checkpoint", hand_root, tmp_path)
     actions = torch.stack([policy.select_action(batch) for batch in seen])
     torch.testing.assert_close(torch.load(tmp_path / "actions.pt"), actions, atol=1e-4, rtol=0)
+
+
+def test_what_learned_from_the_targets_path_is_not_trained_where_there_is_none(hand_root: Path, monkeypatch):
+    config = learner(hand_root).config
+    config.pretrained_path = Path("ours")
+    monkeypatch.setattr(recordings, "describe", lambda meta, cameras: Rig(fps=20.0))
+    with pytest.raises(ValueError, match="ours learned from the target's path, which local/other lacks"):
+        ObActPolicy(config, dataset_meta=SimpleNamespace(repo_id="local/other"))
