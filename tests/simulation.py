@@ -19,15 +19,14 @@ from dynahoi_lerobot.scene.world_fields import WorldFields
 
 @dataclass(frozen=True)
 class Drawn:
-    """One motion and its target; when the target is to be met, and for how long the motion must make sense [s]."""
+    """One motion and its target, and for how long the motion must make sense [s]."""
 
     motion: Motion
     target: TargetObject
-    intercept_s: float
     horizon_s: float
 
 
-def draw_motion(kind: str, seed: int, object_name: str | None = None, speed_scale: float = 1.0) -> Drawn:
+def draw_motion(kind: str, seed: int, object_name: str | None = None) -> Drawn:
     """Draw a motion of ``kind`` with the timing of a sampled episode."""
     rng = np.random.default_rng([seed, 7])
     timing = draw_timing(kind, "observe_before_act", rng)
@@ -41,9 +40,9 @@ def draw_motion(kind: str, seed: int, object_name: str | None = None, speed_scal
         window_s=window_s,
         intercept_s=window_s + timing.approach_frames * CONTROL_DT,
         horizon_s=(timing.window_frames + timing.length_frames) * CONTROL_DT,
-        speed_scale=speed_scale,
+        speed_scale=1.0,
     )
-    return Drawn(MOTIONS[kind].sample(draw), target, draw.intercept_s, draw.horizon_s)
+    return Drawn(MOTIONS[kind].sample(draw), target, draw.horizon_s)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from dynahoi_lerobot.core.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES, is_acting
 from dynahoi_lerobot.core.spec import EpisodeSpec
+from dynahoi_lerobot.dataset.quality_control import trajectory_problems
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.experts.baselines import home_table
 from dynahoi_lerobot.experts.intercept import Intercept
@@ -103,7 +104,7 @@ def test_a_hand_at_a_tabulated_home_follows_the_path_from_there(specs: list[Epis
 @pytest.mark.parametrize("control_class", CONTROL_CLASSES)
 def test_the_expert_catches_everything_in_every_control_class(control_class: str, in_class):
     episodes = in_class(control_class)
-    assert [episode.stage for episode in episodes] == ["captured"] * 44
+    assert {episode.stage for episode in episodes} == {"captured"}
     assert {episode.meta.control_class for episode in episodes} == {control_class}
     for episode in episodes:
         speed = np.linalg.norm(np.diff(episode.palm_pos_h, axis=0), axis=1) / CONTROL_DT
@@ -118,13 +119,14 @@ def test_a_hand_that_follows_the_labels_loosely_is_closed_when_it_gets_there(spe
             labels = self.goals(world)
             return labels + np.pad(rng.normal(0.0, 0.015, (len(labels), 3)), ((0, 0), (0, 15)))
 
-    episodes = list(evaluate(WorldBatch(Recipe(image_size=0), 22, threads=1), Loose(), specs))
+    episodes = list(evaluate(WorldBatch(Recipe(image_size=0), 22, threads=1), Loose(), specs[:22]))
     assert mean(episodes, "S_joint") >= 0.9 * mean(episodes, "S_loc")
 
 
 def test_the_label_is_the_meeting_and_in_the_window_that_of_the_start_of_control(specs: list[EpisodeSpec]):
     recipe = Recipe(image_size=0, split=specs[0].split, perturbed_share=0.0)
     for episode in record(recipe, [spec.seed for spec in specs[:22]]):
+        assert not trajectory_problems(episode)
         window, path = episode.meta.window_frames, episode.target_path
         free = int(np.flatnonzero(~episode.localized)[-1]) + 1
         apart = np.linalg.norm(path - episode.action[:free, None, :3], axis=-1)
@@ -137,8 +139,9 @@ def test_the_label_is_the_meeting_and_in_the_window_that_of_the_start_of_control
 
 def test_the_expert_finds_back_when_its_palm_is_pulled_away():
     pulled = Recipe(image_size=0, perturbed_share=1.0)
-    episodes = list(record(pulled, range(44)))
-    assert len(episodes) >= 0.9 * 44
+    episodes = list(record(pulled, range(22)))
+    assert len(episodes) >= 0.9 * 22
+    assert not any(map(trajectory_problems, episodes))
     strayed_m = []
     for episode in episodes:
         free = slice(episode.meta.window_frames, int(np.flatnonzero(~episode.localized)[-1]) + 1)

@@ -50,14 +50,8 @@ def test_labels_of_both_modes_are_the_same_goals():
         np.testing.assert_allclose(told[:, 3:], joints.action[:, 3:], atol=CLOSING_RAD)
 
 
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("grasp") / "d"
-    generate(GenerationPlan(RECIPE, 4), root, record=record)
-    return root
-
-
-def test_a_dataset_holds_and_replays_them(dataset: Path):
+def test_a_dataset_holds_and_replays_them(tmp_path: Path):
+    generate(GenerationPlan(RECIPE, 2), dataset := tmp_path / "d", record=record)
     feature = open_dataset(dataset).meta.features["action"]
     assert tuple(feature["shape"]) == (4,)
     assert tuple(feature["names"]) == CONTROL_MODES["grasp"]

@@ -7,7 +7,13 @@ be told not to use them.
 import pytest
 from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__
 
+from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.rollout.loop import evaluate
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.world.batch import WorldBatch
 from tests.tools import python
+from tests.world.playing import digest
 
 HERE = [name for name in __cpu_dispatch__ if __cpu_features__[name]]
 LEAST = {"NPY_DISABLE_CPU_FEATURES": " ".join(HERE), "OPENBLAS_CORETYPE": "Prescott"}
@@ -24,22 +30,17 @@ a, b = np.random.default_rng(0).uniform(-9, 9, (2, 30_000))
 results = [sin(a), cos(a), tan(a), arcsin(a / 9), arctan2(a, b), cbrt(a), product(a.reshape(-1, 30), b.reshape(30, -1))]
 print(hashlib.sha256(b"".join(result.tobytes() for result in results)).hexdigest())
 """
-EPISODES = """
-from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.rollout.loop import evaluate
-from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.sampler import sample_specs
-from dynahoi_lerobot.world.batch import WorldBatch
-from tests.world.playing import digest
 
-test = Recipe(split="test", image_size=0)
-for recipe, count in ((test, 22), (test.changed(protocol="occluded"), 4), (test.changed(capture="contact"), 4)):
-    specs = sample_specs(recipe, range(count), threads=1)
-    for episode in evaluate(WorldBatch(recipe, 11, threads=1), EXPERTS[recipe.expert](), specs):
-        spec = specs[episode.meta.seed]
-        print(recipe.capture, recipe.protocol, spec.motion.name, spec.appearance, digest(episode))
-"""
-"""The expert's first episode of each kind, and some behind a screen and with contacts."""
+
+def played() -> list[str]:
+    """What the expert does in its first episode of each kind, and in some behind a screen and with contacts."""
+    lines, test = [], Recipe(split="test", image_size=0)
+    for recipe, count in ((test, 22), (test.changed(protocol="occluded"), 4), (test.changed(capture="contact"), 4)):
+        specs = sample_specs(recipe, range(count), threads=1)
+        for episode in evaluate(WorldBatch(recipe, 11, threads=1), EXPERTS[recipe.expert](), specs):
+            spec = specs[episode.meta.seed]
+            lines.append(f"{recipe.capture} {recipe.protocol} {spec.motion.name} {spec.appearance} {digest(episode)}")
+    return lines
 
 
 def test_functions_do_not_depend_on_the_processor() -> None:
@@ -49,6 +50,7 @@ def test_functions_do_not_depend_on_the_processor() -> None:
 
 @pytest.mark.slow
 def test_episodes_do_not_depend_on_the_processor() -> None:
-    reference = python("-c", EPISODES).splitlines()
+    reference = played()
     assert len(reference) == 30
-    assert python("-c", EPISODES, **LEAST).splitlines() == reference
+    program = "from tests.core.test_processors import played; print(*played(), sep='\\n')"
+    assert python("-c", program, **LEAST).splitlines() == reference

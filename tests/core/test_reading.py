@@ -160,7 +160,7 @@ def test_a_wrong_value_anywhere_is_read_or_refused_but_no_fault(artefact, name, 
 
 
 def test_json_is_bounded(tmp_path: Path) -> None:
-    surplus = ['{"x": {"y": 1, "y": 2}}', "[" + "[]," * 3 * 10**6 + "1]"]
+    surplus = ['{"x": {"y": 1, "y": 2}}', "[" + "[]," * 16 * 10**5 + "1]"]
     for text in (*surplus, "NaN", "1e999", "9" * 30, "9" * 5000, "[" * 70 + "]" * 70, '"\\ud800"', "{", "\xff"):
         (path := tmp_path / "x.json").write_text(text, "latin-1")
         with pytest.raises(ReadError, match=r"x\.json cannot be read"):
@@ -176,7 +176,7 @@ def test_json_is_bounded(tmp_path: Path) -> None:
         read_yaml(path)
 
 
-N = 10**8
+N = 10**7
 BOMBS: dict[str, Callable[[], dict[str, pa.Array]]] = {
     "numbers": lambda: {"x": pa.array(np.zeros(N, np.int8)).cast(pa.int64())},
     "one list": lambda: {"x": pa.ListArray.from_arrays(pa.array([0, N], pa.int32()), pa.array(np.zeros(N, bool)))},

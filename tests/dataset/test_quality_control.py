@@ -14,18 +14,14 @@ from tests.dataset.episodes import changed
 from tests.synthetic import synthetic_episode
 
 KINDS = len(BENCHMARK.splits["train"].motions)
-STRAYING = {"perturbed_share": 1.0}
 
 
 @pytest.mark.parametrize(
     ("capture", "options", "count"),
     [
-        ("attach", {}, KINDS),
-        ("attach", {"control_class": "late"}, 8),
         ("attach_lenient", {}, 8),
         ("contact", {}, KINDS),
-        ("attach", STRAYING, 8),
-        ("contact", STRAYING, 8),
+        ("contact", {"perturbed_share": 1.0}, 8),
         ("attach", {"control_class": "late", "protocol": "direct_act"}, 8),
         ("attach", {"split": "ood_speed"}, 8),
         ("contact", {"split": "ood_speed"}, 8),

@@ -16,7 +16,6 @@ from dynahoi_lerobot.generate.plan import GenerationPlan
 from dynahoi_lerobot.metrics import measure
 from dynahoi_lerobot.rollout.loop import evaluate, record
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests import recompute_metrics
 
@@ -33,11 +32,8 @@ POSITION_ERROR_M = 3e-6
 """Of distances from poses in float32; ellipsoids divide by a gradient that vanishes towards their middle."""
 
 
-@pytest.fixture(scope="module", params=RECIPES)
-def recorded(request, tmp_path_factory) -> tuple[Path, list[Episode]]:
-    """A generated dataset with failures, and the same episodes as they were played."""
-    recipe = replace(RECIPES[request.param], image_size=0)
-    root = tmp_path_factory.mktemp(request.param) / "d"
+def generated(recipe: Recipe, root: Path) -> list[Episode]:
+    """Generate a dataset, and return its episodes as they were played."""
     kept: dict[int, Episode] = {}
 
     def remember(recipe: Recipe, seeds):
@@ -47,7 +43,7 @@ def recorded(request, tmp_path_factory) -> tuple[Path, list[Episode]]:
 
     first = EPISODES if recipe.capture == "contact" else 0  # of the episodes before that, it holds none
     manifest = generate(GenerationPlan(recipe, EPISODES, first), root, record=remember)
-    return root, [kept[seed] for seed in manifest.seeds]
+    return [kept[seed] for seed in manifest.seeds]
 
 
 def assert_same(root: Path, episodes: list[Episode]) -> None:
@@ -61,24 +57,20 @@ def test_the_script_imports_nothing_of_the_package() -> None:
 
 
 @pytest.mark.slow
-def test_a_dataset_with_failures_gives_the_same_metrics(recorded) -> None:
-    root, episodes = recorded
+@pytest.mark.parametrize("name", RECIPES)
+def test_a_dataset_with_failures_gives_the_same_metrics_and_fingertip_distances(name: str, tmp_path: Path) -> None:
+    episodes = generated(replace(RECIPES[name], image_size=0), tmp_path / "d")
     assert {episode.success for episode in episodes} == {True, False}
-    assert_same(root, episodes)
-
-
-def test_fingertip_distances_follow_from_poses_and_solids(recorded) -> None:
-    root, _ = recorded
-    store = Store(root)
+    assert_same(tmp_path / "d", episodes)
+    store = Store(tmp_path / "d")
     for row in store.full_rows():
         computed = recompute_metrics.fingertip_distance(pd.Series(row), store.frames(row).to_pandas())
         # a target that was knocked away is metres off, where float32 keeps fewer digits
         np.testing.assert_allclose(computed, row["stats/fingertip_distance"], rtol=1e-7, atol=POSITION_ERROR_M)
 
 
-@pytest.mark.parametrize("baseline", ["pursuit", "hold"])
-def test_evaluated_episodes_give_the_same_metrics(tmp_path, baseline) -> None:
-    specs = sample_specs(Recipe(split="test"), range(EPISODES))
-    episodes = list(evaluate(WorldBatch(Recipe(split="test"), EPISODES), EXPERTS[baseline](), specs))
+def test_evaluated_episodes_give_the_same_metrics(tmp_path: Path, specs, expert_episodes) -> None:
+    held = evaluate(WorldBatch(Recipe(split="test"), EPISODES), EXPERTS["hold"](), specs[:EPISODES])
+    episodes = [*expert_episodes[:EPISODES], *held]
     write_episodes(tmp_path / "d", episodes)
     assert_same(tmp_path / "d", episodes)

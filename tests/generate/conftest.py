@@ -1,5 +1,7 @@
 """A dataset that is made undisturbed."""
 
+from pathlib import Path
+
 import pytest
 
 from dynahoi_lerobot.dataset.manifest import hash_files
@@ -8,8 +10,11 @@ from tests.generate.recorder import PLAN, record
 
 
 @pytest.fixture(scope="session")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+def undisturbed(once) -> dict[str, str]:
     """The files of the dataset of ``PLAN`` as one process makes them."""
-    root = tmp_path_factory.mktemp("undisturbed") / "d"
-    generate(PLAN, root, record=record)
-    return hash_files(root)
+
+    def make(root: Path) -> dict[str, str]:
+        generate(PLAN, root, record=record)
+        return hash_files(root)
+
+    return once("undisturbed", make)

@@ -47,8 +47,10 @@ def test_slots_follow_the_seed(reference):
     assert plan(episodes=10, seed=5).slots(3) == range(14, 15)
 
 
-def test_any_shard_size_gives_the_same_tables_and_videos(reference, tmp_path):
-    generate(plan(shard_episodes=4), tmp_path / "d", record=recorder.record)
+def test_any_shard_size_gives_the_same_tables_and_videos_and_progress_counts_episodes(reference, tmp_path):
+    seen: list[int] = []
+    generate(plan(shard_episodes=4), tmp_path / "d", record=recorder.record, progress=seen.append)
+    assert seen == [*range(1, 11), 10]
     one, other = hash_files(reference), hash_files(tmp_path / "d")
     assert {name for name in one if one[name] != other[name]} == {"README.md"}, "which shows the plan"
 
@@ -100,12 +102,6 @@ def test_other_datasets_are_left_alone(reference, tmp_path):
         generate(plan(), tmp_path / "precious", record=recorder.record)
 
 
-def test_progress_counts_episodes(tmp_path):
-    seen: list[int] = []
-    generate(plan(), tmp_path / "d", record=recorder.record, progress=seen.append)
-    assert seen == [*range(1, 11), 10]
-
-
 @pytest.mark.parametrize(
     "change", [{"episodes": 0}, {"episodes": -3}, {"seed": -1}, {"image_size": 33}, {"image_size": 8}]
 )
@@ -115,13 +111,17 @@ def test_impossible_plans_are_refused(change):
 
 
 @pytest.fixture
-def interrupted(tmp_path) -> Path:
+def interrupted(once, tmp_path) -> Path:
     """The workspace of a run that made every shard and did not come to merge them."""
-    with open_workspace(PLAN, tmp_path / "d") as workspace:
-        maker = ShardMaker(PLAN, workspace, recorder.record)
-        for shard in range(PLAN.shards):
-            maker.make(shard)
-    return workspace
+
+    def make(root: Path) -> Path:
+        with open_workspace(PLAN, root) as workspace:
+            maker = ShardMaker(PLAN, workspace, recorder.record)
+            for shard in range(PLAN.shards):
+                maker.make(shard)
+        return workspace
+
+    return shutil.copytree(once("interrupted", make), workspace_path(tmp_path / "d"))
 
 
 def exchange_shards(workspace: Path) -> None:

@@ -112,10 +112,10 @@ def test_a_figure_is_a_well_formed_inert_drawing(name: str, odd: list[Entry]):
         assert address == FIGURES[name].render(odd), "the same results give the same drawing"
 
 
-@pytest.mark.parametrize("name", FIGURES)
-def test_a_figure_of_one_episode_is_drawn_or_left_out(name: str, tmp_path: Path):
+def test_figures_of_one_episode_are_drawn_or_left_out(tmp_path: Path):
     example_run(tmp_path, "lone", 0.0, 1)
-    assert (FIGURES[name].render(read_entries([tmp_path])) is not None) == (name in ALWAYS)
+    lone = read_entries([tmp_path])
+    assert {name for name, figure in FIGURES.items() if figure.render(lone) is not None} == ALWAYS
 
 
 @pytest.mark.parametrize(

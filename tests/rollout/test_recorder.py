@@ -9,13 +9,10 @@ from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.numerics import quat_to_matrix
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES
 from dynahoi_lerobot.core.spec import EpisodeSpec
-from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.objects.primitives import from_table
-from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.rollout.recorder import camera_pose, episode_constants, intrinsics
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.scene.model import SIDE_CAMERA
 from dynahoi_lerobot.scene.scene import compile_scene
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -105,14 +102,11 @@ def test_the_hand_does_what_the_expert_planned_first(in_class, control):
             assert left == pytest.approx(speed, abs=0.02), episode.meta.motion
 
 
-@pytest.mark.parametrize("capture", ["attach", "contact"])
-def test_the_target_path_is_where_the_target_is_until_it_is_touched(capture: str):
-    recipe = Recipe(split="test", capture=capture)
-    chosen = sample_specs(recipe, range(22))
-    for episode in evaluate(WorldBatch(recipe, len(chosen)), EXPERTS["hold"](), chosen):
+def test_the_target_path_is_where_the_target_is_until_it_is_touched(expert_episodes, contact_episodes):
+    for episode in [*expert_episodes[:22], *contact_episodes]:
         meta, path = episode.meta, episode.target_path
         assert len(path) == meta.window_frames + meta.length_frames + 1 >= len(episode)
-        near = episode.localized if capture == "attach" else episode.palm_distance < 0.2
+        near = episode.localized if meta.capture == "attach" else episode.palm_distance < 0.2
         untouched = max(int(np.append(near, True).argmax()), 1)
         apart = path[:untouched] - episode.target_pose[:untouched, :3]
         assert np.abs(apart).max() < 1e-4, meta.motion

@@ -1,7 +1,5 @@
 """The benchmark is a frozen list: its episodes have the committed digests, whatever else is registered."""
 
-import json
-import os
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -11,18 +9,10 @@ from benchmarks import pin
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.splits import split_seeds
-from tests.tools import install, python
+from tests.tools import python
 
 PINNED = pin.read()
 ROOT = Path(__file__).parents[2]
-WITH_PLUGIN = """
-import json
-from benchmarks import pin
-from dynahoi_lerobot.motions import MOTIONS
-from dynahoi_lerobot.objects import OBJECTS
-assert "a_drift" in MOTIONS and "caltrop" in OBJECTS, "the plugin is not loaded"
-print(json.dumps(pin.pin(seeds=3, with_images=2)))
-"""
 
 
 def test_the_definition_is_pinned():
@@ -56,11 +46,11 @@ def test_every_seed_of_all_streams_is_pinned():
 @pytest.mark.slow
 @pytest.mark.parametrize("split", BENCHMARK.streams)
 def test_specs_are_the_pinned_ones(split: str):
-    """Some thirty, of all kinds of motion; ``benchmarks/pin.py --check`` compares all."""
+    """Some, of all kinds of motion; ``benchmarks/pin.py --check`` compares all."""
     seeds = pin.pinned_seeds(split)
-    found = pin.spec_digests(split, seeds[BENCHMARK.streams.index(split) :: 31 if len(seeds) == 1000 else 7])
+    found = pin.spec_digests(split, seeds[BENCHMARK.streams.index(split) :: 43 if len(seeds) == 1000 else 9])
     assert found == {seed: PINNED["specs"][split][seed] for seed in found}
-    assert len(found) > 30
+    assert len(found) > 22
 
 
 @pytest.mark.parametrize("split", BENCHMARK.streams)
@@ -71,17 +61,7 @@ def test_images_are_the_pinned_ones(split: str):
 
 
 @pytest.mark.slow
-def test_a_motion_and_an_object_of_a_plugin_change_no_digest(tmp_path: Path):
-    install(tmp_path, "third_party", {"third_party_plugin": "import tests.third_party.things"})
-    path = os.pathsep.join(map(str, (tmp_path, ROOT, ROOT / "benchmarks")))
-    found = json.loads(python("-c", WITH_PLUGIN, PYTHONPATH=path).splitlines()[-1])
-    found["specs"] = {split: {int(seed): digest for seed, digest in d.items()} for split, d in found["specs"].items()}
-    assert sum(map(len, found["specs"].values())) == 3 * len(BENCHMARK.streams)
-    assert len(found["images"]) == 2 * len(BENCHMARK.streams)
-    assert pin.differences(found, PINNED) == []
-
-
-@pytest.mark.slow
-def test_what_others_register_is_played_by_name(tmp_path: Path):
-    python("-m", "tests.third_party.by_name", tmp_path / "dataset")  # as what it registers must not reach other tests
-    assert (tmp_path / "dataset" / "meta" / "info.json").is_file()
+def test_what_others_register_is_played_by_name_and_changes_no_digest(tmp_path: Path):
+    folder = tmp_path / "dataset"  # in a process of its own, as what it registers must not reach other tests
+    python("-m", "tests.third_party.by_name", folder, cwd=ROOT, PYTHONPATH=str(ROOT / "benchmarks"))
+    assert (folder / "meta" / "info.json").is_file()

@@ -22,9 +22,9 @@ OCCLUDED = Recipe(split="test", image_size=16, protocol="occluded")
 
 
 @pytest.fixture(scope="module")
-def occluded() -> list[EpisodeSpec]:
+def occluded(once) -> list[EpisodeSpec]:
     """The first 22 episodes of ``test``: every kind once."""
-    return sample_specs(OCCLUDED, range(22))
+    return once("occluded", lambda _: sample_specs(OCCLUDED, range(22)))
 
 
 @pytest.mark.parametrize("actor", ["intercept", "hold"])

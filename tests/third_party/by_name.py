@@ -1,5 +1,7 @@
 """Play the motion and the object of a third party by their names: env, recording and dataset command.
 
+Episodes of the benchmark stay as they are pinned.
+
 python -m tests.third_party.by_name FOLDER
 """
 
@@ -10,6 +12,7 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 
+from benchmarks import pin
 from dynahoi_lerobot.cli.main import main as dynahoi
 from dynahoi_lerobot.env import register_envs
 from dynahoi_lerobot.rollout.loop import record
@@ -34,6 +37,7 @@ def main(folder: Path) -> None:
     observation, _ = env.reset(seed=0)
     assert np.ptp(observation["pixels"]["ego"]) > 0
     assert dynahoi(["generate", "--root", str(folder), "--episodes", "1", "--image-size", "32", *OPTIONS]) == 0
+    assert pin.differences(pin.pin(seeds=2, with_images=1), pin.read()) == []
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from lerobot.datasets.video_utils import RGBEncoderConfig
 
 from dynahoi_lerobot.dataset import open_dataset
 from dynahoi_lerobot.verify.command import verify
-from tests.verify.test_forgeries import META, VIDEO
+from tests.verify.test_forgeries import DATA, INFO, VIDEO, column, told
 
 pytestmark = pytest.mark.slow  # LeRobot takes long to import
 
@@ -70,7 +70,14 @@ def cut_video(root: Path) -> None:
     (root / VIDEO).write_bytes((root / VIDEO).read_bytes()[:-100])
 
 
-@pytest.mark.parametrize("damage", [META["number of episodes"], META["times of frames shifted"], cut_video])
+@pytest.mark.parametrize(
+    "damage",
+    [
+        told(INFO, "total_episodes", value=3),
+        column(DATA, "timestamp", lambda times: [t + 0.05 for t in times]),
+        cut_video,
+    ],
+)
 def test_damage_that_lerobots_format_shows_is_found(dataset: Path, tmp_path: Path, damage):
     EDITS["delete"](dataset, tmp_path / "edited")
     damage(tmp_path / "edited")

@@ -46,13 +46,9 @@ def images(short: list[EpisodeSpec]) -> dict[int, str]:
     return digests(short, 1, images=True)
 
 
-@pytest.mark.parametrize(
-    ("order", "size", "threads"),
-    [(range(22), 1, 1), (range(22), 3, 2), (range(21, -1, -1), 5, 1), ((3, 21, 8, 0), 4, 1)],
-)
-def test_states_depend_on_no_batch_size_thread_count_neighbour_or_row(every_kind, reference, order, size, threads):
-    chosen = [every_kind[i] for i in order]
-    assert digests(chosen, size, threads) == {spec.seed: reference[spec.seed] for spec in chosen}
+@pytest.mark.parametrize(("step", "size", "threads"), [(1, 3, 2), (-1, 5, 1)])
+def test_states_depend_on_no_batch_size_thread_count_neighbour_or_row(every_kind, reference, step, size, threads):
+    assert digests(every_kind[::step], size, threads) == reference
 
 
 def test_pixels_depend_on_no_batch_size_and_no_neighbour(short: list[EpisodeSpec], images: dict[int, str]):
@@ -128,24 +124,6 @@ def test_an_episode_elsewhere_looks_the_same_in_numbers(specs: list[EpisodeSpec]
         for name in ("state", "given", "target_pose", "target_velocity", "palm_distance"):
             np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=ROUNDING, err_msg=name)
     np.testing.assert_allclose(other.home_pos_w - one.home_pos_w, SHIFT_W[None], atol=1e-12)
-
-
-def test_the_action_space_does_not_tell_the_home_and_holds_every_reachable_command(specs: list[EpisodeSpec]):
-    env = DynahoiVectorEnv(4, split="test", image_size=0)
-    low, high = env.single_action_space.low, env.single_action_space.high
-    np.testing.assert_array_equal(low[:PALM_DOF], -high[:PALM_DOF])
-    bounds = []
-    for seed in (0, 4):
-        env.reset(seed=seed)
-        bounds.append((env.single_action_space.low, env.single_action_space.high))
-    np.testing.assert_array_equal(bounds[0], bounds[1])
-    batch = world(specs[:4], control_class="unlimited")
-    wait(batch)
-    for side in (-1.0, 1.0):
-        for _ in range(60):
-            batch.step(np.full((4, HAND_DOF), side * 50.0))
-        assert (batch.given >= low).all()
-        assert (batch.given <= high).all()
 
 
 def test_an_episode_keeps_its_home_apart(expert_episodes: list[Episode], specs: list[EpisodeSpec]):
@@ -285,14 +263,21 @@ def test_under_contact_each_axis_of_the_gantry_has_its_limit(specs: list[Episode
     np.testing.assert_allclose(hands.executed - before, np.tile([0.1, -0.1, 0.01] + [0.0] * 15, (4, 1)), atol=1e-6)
 
 
-@pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_commands_beyond_the_range_end_at_its_limit(hands: WorldBatch, side: float):
-    for _ in range(60):
-        hands.step(np.full((4, HAND_DOF), side * 50.0))
-    limit = hands.commands.high if side > 0 else hands.commands.low
-    reached = hands.executed + np.hstack([hands.home_pos_w, np.zeros((4, HAND_DOF - PALM_DOF))])
-    np.testing.assert_allclose(reached, np.tile(limit, (4, 1)), atol=1e-6)
-    np.testing.assert_allclose(hands.state, hands.executed, atol=0.01)
+def test_commands_beyond_the_range_end_at_its_limit_in_an_action_space_that_does_not_tell_the_home(hands: WorldBatch):
+    env = DynahoiVectorEnv(4, split="test", image_size=0)
+    low, high = env.single_action_space.low, env.single_action_space.high
+    np.testing.assert_array_equal(low[:PALM_DOF], -high[:PALM_DOF])
+    for seed in (0, 4):
+        env.reset(seed=seed)
+        np.testing.assert_array_equal((env.single_action_space.low, env.single_action_space.high), (low, high))
+    for side, limit in ((-1.0, hands.commands.low), (1.0, hands.commands.high)):
+        for _ in range(60):
+            hands.step(np.full((4, HAND_DOF), side * 50.0))
+        reached = hands.executed + np.hstack([hands.home_pos_w, np.zeros((4, HAND_DOF - PALM_DOF))])
+        np.testing.assert_allclose(reached, np.tile(limit, (4, 1)), atol=1e-6)
+        np.testing.assert_allclose(hands.state, hands.executed, atol=0.01)
+        assert (hands.given >= low).all()
+        assert (hands.given <= high).all()
 
 
 @pytest.mark.parametrize("in_window", [True, False])
@@ -310,19 +295,12 @@ def test_a_bad_command_moves_nothing(specs: list[EpisodeSpec], in_window: bool):
             np.testing.assert_array_equal(value, held)
 
 
-def test_in_the_window_commands_are_ignored_and_the_hand_holds_still(specs: list[EpisodeSpec]):
-    batch = world(specs[:8])
-    rng = np.random.default_rng(0)
-    while not batch.acting.any():
-        batch.step(rng.normal(size=(8, HAND_DOF)))
-        np.testing.assert_allclose(batch.state, 0.0, atol=1e-4)
-    assert not batch.localized.any()
-
-
-def test_the_phase_turns_with_the_last_frame_of_the_window(specs: list[EpisodeSpec]):
-    batch = world(specs[:8])
+def test_in_the_window_which_the_phase_tells_commands_are_ignored_and_the_hand_holds_still(specs: list[EpisodeSpec]):
+    batch, rng = world(specs[:8]), np.random.default_rng(0)
     for frame in range(12):
-        phase = batch.observe(images=False).phase
-        expected = [[0, 1] if frame >= spec.window_frames else [1, 0] for spec in specs[:8]]
-        np.testing.assert_array_equal(phase, expected)
-        batch.step(batch.executed)
+        in_window = np.array([frame < spec.window_frames for spec in specs[:8]])
+        np.testing.assert_array_equal(batch.observe(images=False).phase, np.column_stack([in_window, ~in_window]))
+        np.testing.assert_allclose(batch.state[in_window], 0.0, atol=1e-4)
+        assert not batch.localized[in_window].any()
+        batch.step(rng.normal(size=(8, HAND_DOF)))
+    assert not in_window.all(), "some windows are over"
