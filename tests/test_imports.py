@@ -21,7 +21,7 @@ LEARNED = ("dynahoi_lerobot.pretrain.eye_training", "dynahoi_lerobot.world.detec
 """What runs ObAct's eye, and so imports torch and the policy's package; others import these in functions alone."""
 TAUGHT = {"lerobot_policy_obact/teacher.py": ["dynahoi_lerobot.experts"]}
 """What policies import of the core."""
-WALK = """
+PROGRAM = """
 import importlib, pkgutil, sys
 package, learned, *heavy = sys.argv[1:]
 names = [m.name for m in pkgutil.walk_packages(importlib.import_module(package).__path__, package + ".")]
@@ -32,17 +32,11 @@ for name in names:
         sys.exit(f"{name} imports {', '.join(sorted(found))}")
 print(len(names))
 """
-USES = {
-    "from dynahoi_lerobot import metrics, report; from dynahoi_lerobot.evaluate import gif, results": "pandas pyarrow "
-    "matplotlib PIL jinja2",
-    "from dynahoi_lerobot.cli.main import main; main(['list', 'hands'])": "warp pandas pyarrow",
-    "from dynahoi_lerobot.env import register_envs; import gymnasium; register_envs();"
-    "gymnasium.make('dynahoi/lob-v0', image_size=0).reset(seed=0)": "warp pyarrow cv2",
-    "main(['evaluate', '--policy', 'hold', '--episodes', '1', '--out', 'held'])": "warp pandas av",
-    "main(['generate', '--episodes', '1', '--image-size', '32', '--root', 'made'])": "matplotlib",
+HEAVY = {
+    "dynahoi_lerobot": ("torch", "lerobot"),
+    "dynahoi_lerobot.dataset": ("mujoco", "mujoco_warp", "warp", "torch", "lerobot", "datasets", "pandas"),
 }
-"""What a process may do, one after the other, and which packages it has no use for until then, besides ``ALWAYS``."""
-ALWAYS = "torch lerobot mujoco_warp"
+"""What no module of a package may import."""
 
 
 def imports() -> Iterator[tuple[str, str]]:
@@ -108,22 +102,32 @@ def test_every_folder_is_a_room():
     assert folders | modules == set(ROOMS)
 
 
-@pytest.mark.parametrize(
-    ("package", "least", "heavy"),
-    [
-        ("dynahoi_lerobot", 100, "torch lerobot"),
-        ("dynahoi_lerobot.dataset", 8, "mujoco mujoco_warp warp torch lerobot datasets pandas"),
-    ],
-)
-def test_no_module_imports_what_is_heavy(package: str, least: int, heavy: str):
-    said = python("-c", WALK, package, ",".join(LEARNED), *heavy.split())
+@pytest.mark.parametrize(("package", "least"), [("dynahoi_lerobot", 100), ("dynahoi_lerobot.dataset", 8)])
+def test_no_module_imports_what_is_heavy(package: str, least: int):
+    said = python("-c", PROGRAM, package, ",".join(LEARNED), *HEAVY[package])
     assert int(said.split()[-1]) > least, "the walk must have found the modules"
 
 
-def test_what_a_process_does_not_use_is_not_imported(tmp_path: Path):
-    lines = [
-        f"{use}\nassert not (found := {{*{f'{ALWAYS} {unused}'.split()}}} & set(sys.modules)), found"
-        for use, unused in USES.items()
-    ]
-    python("-c", "\n".join(["import sys", *lines]), cwd=tmp_path)
-    assert (tmp_path / "made").is_dir()
+def test_reading_results_imports_nothing_that_draws_them():
+    modules = "".join(f", dynahoi_lerobot.{name}" for name in ("metrics", "evaluate.results", "evaluate.gif", "report"))
+    said = python("-c", f"import sys{modules}; print(*sys.modules)")
+    assert not {"torch", "lerobot", "pandas", "pyarrow", "matplotlib", "PIL", "jinja2"} & set(said.split())
+
+
+ALWAYS = ("torch", "lerobot", "mujoco_warp")
+USES = [
+    ("main(['list', 'hands'])", ("warp", "pandas", "pyarrow")),
+    ("main(['evaluate', '--policy', 'hold', '--episodes', '1', '--out', sys.argv[1]])", ("warp", "pandas", "av")),
+    ("main(['generate', '--episodes', '1', '--image-size', '32', '--root', sys.argv[1]])", ("matplotlib",)),
+    ("register_envs(); gym.make('dynahoi/lob-v0', image_size=0).reset(seed=0)", ("warp", "pyarrow", "cv2")),
+]
+"""What a process may do, and which packages it has no use for, besides ``ALWAYS``."""
+
+
+@pytest.mark.parametrize(("use", "unused"), USES)
+def test_what_a_process_does_not_use_is_not_imported(use: str, unused: tuple[str, ...], tmp_path: Path) -> None:
+    main = "from dynahoi_lerobot.cli.main import main"
+    gym = "import gymnasium as gym; from dynahoi_lerobot.env import register_envs"
+    start = main if use.startswith("main") else gym
+    said = python("-c", f"import sys; {start}; {use}; print(*sys.modules)", str(tmp_path / "new"))
+    assert not sorted({*ALWAYS, *unused} & set(said.splitlines()[-1].split()))

@@ -271,7 +271,7 @@ def test_commands_beyond_the_range_end_at_its_limit_in_an_action_space_that_does
         env.reset(seed=seed)
         np.testing.assert_array_equal((env.single_action_space.low, env.single_action_space.high), (low, high))
     for side, limit in ((-1.0, hands.commands.low), (1.0, hands.commands.high)):
-        for _ in range(60):
+        for _ in range(120):
             hands.step(np.full((4, HAND_DOF), side * 50.0))
         reached = hands.executed + np.hstack([hands.home_pos_w, np.zeros((4, HAND_DOF - PALM_DOF))])
         np.testing.assert_allclose(reached, np.tile(limit, (4, 1)), atol=1e-6)
