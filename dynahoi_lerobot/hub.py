@@ -21,7 +21,7 @@ from markupsafe import Markup
 
 from dynahoi_lerobot.core.arguments import CommandError, argument, option
 from dynahoi_lerobot.core.control_mode import JOINTS
-from dynahoi_lerobot.core.reading import GIB, read_object, reading, regular
+from dynahoi_lerobot.core.reading import GIB, read_object, read_text, reading, regular
 from dynahoi_lerobot.dataset.card import markdown_template
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import CARD_PATH, CODEBASE_VERSION, INFO_PATH, MANIFEST_PATH
@@ -96,7 +96,11 @@ def run(options: Options) -> int:
     for entry in options.folder.rglob("*"):
         if entry.is_symlink():
             raise ValueError(f"{entry} is a link, and what it leads to is not uploaded; put a copy in its place")
-        if not entry.is_dir():
+        with reading(options.folder):
+            str(entry).encode()  # the Hub's client cannot send other names
+        if entry.name in (CARD_PATH, ".gitignore") and not entry.is_dir():  # which the client reads whole
+            read_text(entry)
+        elif not entry.is_dir():
             regular(entry, LARGEST_FILE)
     try:
         pushed = PUSHES[kind](options, Repository.open(options.repo, "dataset" if kind == "dataset" else "model"))
@@ -254,7 +258,8 @@ def push_results(options: Options, repository: Repository) -> str:
     repository.upload(options.folder, path_in_repo=f"{RESULTS}/{name}", allow_patterns=played)
     if CARD_PATH in held or doubt:
         there = api.hf_hub_download(repository.name, CARD_PATH) if CARD_PATH in held else None
-        card = ModelCard.load(there, ignore_metadata_errors=True) if there else ModelCard("---\n---\n")
+        with reading(Path(repository.name) / CARD_PATH):
+            card = ModelCard.load(there, ignore_metadata_errors=True) if there else ModelCard("---\n---\n")
         card.text = _with_doubt(card.text, name, doubt)
         repository.upload_card(with_results(card, repository.name, results, name))
     return repository.address

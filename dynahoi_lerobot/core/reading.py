@@ -57,8 +57,8 @@ def reading(path: Path, *others: type[Exception]) -> Iterator[None]:
         raise
     except Exception as error:  # what a damaged file makes a reader raise differs from library to library
         told = getattr(error, "strerror", None) or str(error) or type(error).__name__
-        named = getattr(error, "filename", None)  # a number where the file was open
-        file = named if isinstance(named, str) else path
+        named = getattr(error, "filename", None)  # a number where the file was open, or PyAV's function
+        file = named if isinstance(named, str) and os.sep in named else path
         raise ReadError(f"{file} cannot be read: {' '.join(told.split())[:300]}") from error
 
 

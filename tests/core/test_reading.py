@@ -28,6 +28,7 @@ from dynahoi_lerobot.core.reading import (
     read_rows,
     read_table,
     read_yaml,
+    reading,
     tensor_types,
 )  # fmt: skip
 from dynahoi_lerobot.dataset import read_episodes
@@ -298,3 +299,8 @@ def test_other_weights_statistics_and_sizes_are_refused(actor: Path, tmp_path: P
         folder = saved(config, tmp_path / str(shape), {"observation.state": ones | {"mean": torch.zeros(shape)}})
         with pytest.raises(ReadError, match=r"policy_preprocessor\.json"):
             play_nothing(folder)
+
+
+def test_a_library_that_names_its_function_does_not_hide_the_file():
+    with pytest.raises(ReadError, match=r"^video.mp4 cannot be read: Invalid data"), reading(Path("video.mp4")):
+        raise OSError(22, "Invalid data", "avcodec_send_packet()")
