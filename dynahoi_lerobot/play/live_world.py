@@ -27,10 +27,11 @@ class LiveWorld:
     """One hand and one moving object on a clock.
 
     The world is brought up to date whenever somebody looks at it or commands it, so that it needs no thread, and what
-    happens in it depends on the times of observations and commands alone. Frame 0 ends midway between the first command
-    and the next observation, one frame after the one that led to the command: whoever observes and commands once a
-    frame then commands the frame that it has seen, even if it is up to 25 ms early or late, or half the rest of the
-    frame if it takes time to decide. In a frame without a new command the hand follows the last one.
+    happens in it depends on the times of observations and commands alone. The first command starts the clock, so that
+    frame 0 ends midway between that command and the next observation, which is due one frame (50 ms) after the last. A
+    player that observes and commands once per frame then always commands the frame it saw, with 25 ms of slack either
+    way if it acts at once; deciding takes half its time from that slack. In a frame without a new command the hand
+    follows the last one.
 
     Attributes:
         recipe, kind: what is played.

@@ -54,7 +54,7 @@ class DynahoiRobot(Simulated, Robot):
 
     An episode begins with the first action after it was laid out; when it is over the world stands still. The next one
     is laid out when LeRobot begins an episode of its own, which is told by the pause before that, or, where LeRobot has
-    no episodes, after the config's ``restart_s``. A paused LeRobot may also hold the hand with one and the same dict:
+    no episodes, after the config's ``restart_s``. While paused, LeRobot may send the same dict again and again;
     that neither ends the pause nor begins an episode.
     """
 
