@@ -5,6 +5,7 @@ With ``--sample`` a page of several episodes of a dataset.
 
 import html
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -42,11 +43,13 @@ class Clip:
         frames: (T, H, W, 3) uint8 RGB.
         caption: one line of text.
         phases: ``observing``, ``acting`` or ``localized`` for each frame; None if they are not known.
+        fps: frames per second.
     """
 
     frames: np.ndarray
     caption: str
     phases: list[str] | None
+    fps: float = CONTROL_HZ
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,7 +180,7 @@ def _from_dataset(root: Path, options: Options) -> Clip:
     with reading(root):
         row, _, images = read_episode(store, options.episode, key)
         frames = slice(row["dataset_from_index"], row["dataset_to_index"])
-        return Clip(images, str(row["tasks"][0]), _stored_phases(root, frames))
+        return Clip(images, str(row["tasks"][0]), _stored_phases(root, frames), store.fps)
 
 
 def _camera_key(options: Options, store: Store) -> str:
@@ -214,7 +217,7 @@ def write_clip(path: Path, clip: Clip) -> None:
 
 
 def _gif(clip: Clip) -> bytes:
-    return encode_gif(clip.frames, fps=CONTROL_HZ, caption=clip.caption, phases=clip.phases, min_width=MIN_WIDTH_PX)
+    return encode_gif(clip.frames, fps=clip.fps, caption=clip.caption, phases=clip.phases, min_width=MIN_WIDTH_PX)
 
 
 def _write_html(path: Path, clip: Clip) -> None:
@@ -229,7 +232,7 @@ def _write_mp4(path: Path, clip: Clip) -> None:
     odd = [(0, side % 2) for side in clip.frames.shape[1:3]]  # yuv420p halves both sides
     frames = np.pad(clip.frames, [(0, 0), *odd, (0, 0)], mode="edge")
     with av.open(str(path), "w", format="mp4") as video:
-        stream = video.add_stream("h264", rate=CONTROL_HZ)
+        stream = video.add_stream("h264", rate=Fraction(clip.fps).limit_denominator(1001))
         stream.width, stream.height, stream.pix_fmt = frames.shape[2], frames.shape[1], "yuv420p"
         for frame in frames:
             video.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))

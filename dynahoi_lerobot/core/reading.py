@@ -333,7 +333,8 @@ def _decoded_bytes(file: pq.ParquetFile, path: Path, columns: Collection[str] | 
     """Return how large a file grows, from its footer; where that leaves it open, from its dictionaries of texts."""
     import pyarrow.parquet as pq
 
-    leaves = [file.schema.column(number) for number in range(len(file.schema))]
+    schema = pq.ParquetSchema(file.metadata)  # `file.schema` would keep the metadata of 10,000 row groups until gc runs
+    leaves = [schema.column(number) for number in range(len(schema))]
     fields = [field for field in file.schema_arrow for _ in range(_leaves(field.type))]
     total, texts = file.metadata.num_rows * _PLACE, None
     for group in range(file.metadata.num_row_groups):

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 
-from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import CAMERA_KEY, EPISODE_TABLE_PREFIX, IMAGE_PREFIX, Feature, episode_features
 from dynahoi_lerobot.core.reading import (
@@ -157,6 +156,14 @@ class Store:
                 raise ReadError(f"{path} describes the feature {key!r} by {entry!r:.200}, which no column has")
         return info
 
+    @property
+    def fps(self) -> float:
+        """Frames per second; ValueError if ``info.json`` gives no usable rate."""
+        fps = self.info.get("fps")
+        if isinstance(fps, bool) or not isinstance(fps, int | float) or not 1 <= fps <= 1000:
+            raise ReadError(f"{self.root / INFO_PATH} says fps is {fps!r}; it must be 1 to 1000")
+        return fps
+
     def check_files(self) -> None:
         """Refuse a dataset of which LeRobot would open another file than its own, or one too large for memory."""
         for name, usual in (("data_path", DATA_PATH), ("video_path", VIDEO_PATH)):
@@ -296,7 +303,7 @@ class Store:
             if math.prod(shape := (row["length"], *self.features[key]["shape"])) > TABLE_BYTES:
                 raise ValueError(f"images of shape {shape} take more than {TABLE_BYTES} bytes")
             if self.has_video:
-                start = round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ)
+                start = round(row[f"videos/{key}/from_timestamp"] * self.fps)
                 shown = decode(path, start, start + row["length"])
             else:
                 shown = (read_png(cell) for cell in table[key].to_pylist())

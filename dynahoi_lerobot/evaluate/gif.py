@@ -71,8 +71,8 @@ def encode_gif(
 
     Args:
         frames: (T, H, W, 3) uint8 RGB.
-        fps: frames per second, up to 50, as viewers slow anything faster down to 10; the format rounds the duration of
-            a frame to 10 ms.
+        fps: frames per second; the format rounds the duration of a frame to 10 ms, and one below 20 ms becomes 20 ms,
+            as viewers show it for 100 ms.
         caption: text for a strip under the image, cut to its width; empty leaves the strip out.
         phases: T names out of ``BORDERS``, or None for no border.
         min_width: least width of the frames [px]; smaller ones are enlarged by a whole factor, so that pixels stay
@@ -81,7 +81,7 @@ def encode_gif(
     scale = max(1, -(-min_width // frames.shape[2]))
     names = phases or [None] * len(frames)
     pages = _quantized([_page(frame, name, caption, scale) for frame, name in zip(frames, names, strict=True)])
-    options = {"save_all": True, "append_images": pages[1:], "duration": round(100 / fps) * 10, "loop": 0}
+    options = {"save_all": True, "append_images": pages[1:], "duration": max(2, round(100 / fps)) * 10, "loop": 0}
     buffer = io.BytesIO()
     pages[0].save(buffer, "GIF", **options)
     return buffer.getvalue()

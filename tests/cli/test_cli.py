@@ -19,6 +19,7 @@ from dynahoi_lerobot.cli.listing import LISTS
 from dynahoi_lerobot.cli.sample_page import stratified
 from dynahoi_lerobot.cli.view import Clip, write_clip
 from dynahoi_lerobot.dataset import frame_column
+from dynahoi_lerobot.dataset.paths import INFO_PATH
 from dynahoi_lerobot.evaluate.gif import BORDERS
 from dynahoi_lerobot.evaluate.results import read_results
 from tests.evaluate.test_gif import pages, total_ms
@@ -106,6 +107,12 @@ def test_an_episode_of_a_dataset(dataset: Path, tmp_path: Path, capsys: pytest.C
     first, *_, last = pages(out.read_bytes())
     for page, phase in ((first, "observing"), (last, "localized")):
         assert np.abs(np.array(page.getpixel((0, 0))) - BORDERS[phase]).max() < 12
+    slower = shutil.copytree(dataset, tmp_path / "slower")
+    info = json.loads((slower / INFO_PATH).read_text())
+    for fps, code in ((10, 0), ("10", 2), (0, 2)):
+        (slower / INFO_PATH).write_text(json.dumps(info | {"fps": fps}))
+        assert view("--dataset", slower, "--episode", 3, "--out", out) == code
+    assert total_ms(out.read_bytes()) == 23 * 100
 
 
 def test_a_sample_shows_what_the_dataset_holds_in_step(dataset: Path, tmp_path: Path) -> None:
