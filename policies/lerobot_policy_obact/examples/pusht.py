@@ -1,23 +1,23 @@
-"""Demonstrations of a scripted pusher in gym-pusht: a LeRobot dataset of a task that is not this project's.
+"""Record a scripted pusher in gym-pusht, as a LeRobot dataset from which ObAct learns by its actions alone.
 
-uv pip install gym-pusht "pymunk<7"
-python benchmarks/pusht.py --root data/pusht [--episodes 200] [--seed 0]
+    uv pip install "lerobot[pusht]"
+    python policies/lerobot_policy_obact/examples/pusht.py --root data/pusht --episodes 120 --seed 1000
 
-ObAct learns from it by its actions alone (docs/policies.md has the commands). The pusher tries the same straight pushes
-on a copy of the simulation, keeps the one that brings the block nearest to its goal, walks around the block to where
-that push begins, and pushes.
+The pusher tries straight pushes on a copy of the simulation, keeps the one that brings the block nearest to its goal,
+walks around the block to where that push begins, and pushes. The package's README trains on its recordings.
 """
 
 import argparse
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
-import gym_pusht  # noqa: F401, registers the env
 import gymnasium as gym
 import numpy as np
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
+ENV = "gym_pusht:gym_pusht/PushT-v0"
 IMAGE_PX, LONGEST_STEPS = 96, 200
 STRIDE, CLEARANCE, ARENA = 22.0, 115.0, (20.0, 492.0)
 """How far the pusher goes in a step, how far from the block's centre it walks around it, and where it may be [px]."""
@@ -47,10 +47,10 @@ class Pusher:
     """Plans pushes in an env of its own, which has no images."""
 
     def __init__(self) -> None:
-        self.twin = gym.make("gym_pusht/PushT-v0", obs_type="state").unwrapped
+        self.twin: Any = gym.make(ENV, obs_type="state").unwrapped
         self.twin.reset(seed=0)
 
-    def cost(self, env: gym.Env) -> float:
+    def cost(self, env: Any) -> float:
         """Return how far the block is from its goal [px]."""
         *place, angle = env.goal_pose
         turn = (env.block.angle - angle + np.pi) % (2 * np.pi) - np.pi
@@ -66,7 +66,7 @@ class Pusher:
                 if np.all((begin >= ARENA[0]) & (begin <= ARENA[1])):
                     yield from ((begin, middle + depth * outward) for depth in DEPTHS)
 
-    def tried(self, env: gym.Env, begin: np.ndarray, end: np.ndarray) -> float:
+    def tried(self, env: Any, begin: np.ndarray, end: np.ndarray) -> float:
         """Return the cost after a push in the twin."""
         twin = self.twin
         for body, other in ((twin.agent, env.agent), (twin.block, env.block)):
@@ -79,7 +79,7 @@ class Pusher:
             twin.step(command)
         return self.cost(twin)
 
-    def plan(self, env: gym.Env) -> np.ndarray:
+    def plan(self, env: Any) -> np.ndarray:
         """Return the commands of the best push, with the way to it and back, ``(N, 2)``; none if no push helps."""
         centre, here = np.array(env.block.local_to_world(env.block.center_of_gravity)), np.array(env.agent.position)
         options = [(self.tried(env, begin, end), begin, end) for begin, end in self.pushes(centre)]
@@ -97,7 +97,7 @@ def around(centre: np.ndarray, here: np.ndarray, there: np.ndarray) -> np.ndarra
     return np.clip(centre + CLEARANCE * np.stack([np.cos(bearings), np.sin(bearings)], axis=-1), *ARENA)
 
 
-def demonstrate(env: gym.Env, pusher: Pusher, seed: int) -> Iterator[tuple[dict, np.ndarray, float]]:
+def demonstrate(env: Any, pusher: Pusher, seed: int) -> Iterator[tuple[dict[str, Any], np.ndarray, float]]:
     """Play an episode; yield each observation, the command given to it and the coverage that it led to."""
     seen, _ = env.reset(seed=seed)
     for _ in range(LONGEST_STEPS):
@@ -113,12 +113,13 @@ def demonstrate(env: gym.Env, pusher: Pusher, seed: int) -> Iterator[tuple[dict,
 
 
 def main() -> None:
+    """Record the dataset and print how much of the goal the block covered."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--root", type=Path, required=True)
     parser.add_argument("--episodes", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0, help="of the first episode")
     args = parser.parse_args()
-    env = gym.make("gym_pusht/PushT-v0", obs_type="pixels_agent_pos", max_episode_steps=LONGEST_STEPS)
+    env = gym.make(ENV, obs_type="pixels_agent_pos", max_episode_steps=LONGEST_STEPS)
     dataset = LeRobotDataset.create("local/pusht", fps=10, features=FEATURES, root=args.root, use_videos=True)
     pusher, covered = Pusher(), []
     for seed in range(args.seed, args.seed + args.episodes):
