@@ -78,7 +78,7 @@ class Recordings:
         count = torch.tensor(table["length"])
         index = torch.minimum(torch.arange(int(count.max())), count[:, None] - 1) + (count.cumsum(0) - count)[:, None]
         state = torch.cat([columns[key] for key in config.state_keys], dim=-1)
-        window = torch.tensor(table.get(WINDOW, [0] * len(count)))
+        window = torch.tensor([frames or 0 for frames in table.get(WINDOW, [0] * len(count))])
         sightings = encoded_images(meta, config, model, table["length"])
         episodes = Episodes(sightings[index], state[index], columns[ACTION][index], count, window)
         named = torch.zeros(len(count), dtype=torch.bool)
@@ -101,18 +101,25 @@ def _teacher_of(rig: Rig, table: dict[str, list[Any]]) -> Teacher:
 
 
 def describe(meta: Any, cameras: list[str]) -> Rig:
-    """Return what a dataset says of its clock, its cameras, its hand and its targets."""
+    """Return what a dataset says of its clock, its cameras, its hand and its targets.
+
+    Episodes that were merged into it may lack what others know: they were recorded with the same hand, but without the
+    path of every target nothing is learned from one.
+    """
     views, calibration = {key: key.split(".")[-1] for key in cameras}, {}
     of_cameras = {name.format(view) for view in views.values() for name in (CAMERA_POSE, CAMERA_INTRINSICS)}
     table = episode_columns(meta, of_cameras | {HAND_LIMITS, CAPTURE})
     for key, view in views.items():
-        if pose := table.get(CAMERA_POSE.format(view)):
-            focal_px, _, centre_px, _ = table[CAMERA_INTRINSICS.format(view)][0]
-            calibration[key] = [*pose[0], centre_px / focal_px, float(view == CARRIED_VIEW)]
-    speed, _, latency_ms = table[HAND_LIMITS][0] if HAND_LIMITS in table else (0.0, 0.0, 0.0)
+        if pose := _first(table, CAMERA_POSE.format(view)):
+            focal_px, _, centre_px, _ = _first(table, CAMERA_INTRINSICS.format(view))
+            calibration[key] = [*pose, centre_px / focal_px, float(view == CARRIED_VIEW)]
+    speed, _, latency_ms = _first(table, HAND_LIMITS) or (0.0, 0.0, 0.0)
     # with the palm's displacement as action (control mode grasp), the teachers' answers would be of another kind
     absolute = meta.features[ACTION]["shape"] == meta.features.get("observation.state", {}).get("shape")
-    capture = table[CAPTURE][0] if TARGET_PATH in _episode_schema(meta) and absolute else ""
+    captures = table[CAPTURE] if TARGET_PATH in _episode_schema(meta) and absolute else [None]
+    if (lacking := captures.count(None)) and lacking < len(captures):
+        logging.warning("%d of %d episodes lack the target's path: only actions are learned", lacking, len(captures))
+    capture = "" if lacking else captures[0]
     return Rig(
         fps=float(meta.fps),
         calibration=calibration,
@@ -121,6 +128,11 @@ def describe(meta: Any, cameras: list[str]) -> Rig:
         capture=capture,
         radius_m=RADIUS_M.get(capture, Rig.radius_m),
     )
+
+
+def _first(table: dict[str, list[Any]], name: str) -> Any:
+    """Return the first value of a column that an episode has; None if there is none."""
+    return next((value for value in table.get(name, []) if value is not None), None)
 
 
 # -- the tables of a dataset ----------------------------------------------------------------------------------------

@@ -1,18 +1,25 @@
 """Images are those that LeRobot reads; what is wrong with the cache of encoded ones costs a warning."""
 
 import os
+import shutil
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import torch
-from lerobot.datasets import LeRobotDataset
+from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.datasets.video_utils import FrameTimestampError
+from lerobot.utils.feature_utils import dataset_to_policy_features
 from lerobot_policy_obact import ObActConfig, recordings
+from lerobot_policy_obact.configuration_obact import Rig
 from lerobot_policy_obact.modeling_obact import ObActModel
 from safetensors.torch import save_file
 
+from dynahoi_lerobot.core.features import episode_features
 from tests.checkpoints import FEATURES
 
 LENGTHS = [3, 4]
@@ -51,6 +58,29 @@ def test_every_image_is_the_one_that_lerobot_reads(dataset: Path):
     lengths[-1] += 1
     with pytest.raises(FrameTimestampError):
         list(recordings._images(lerobot.meta, key, lengths))
+
+
+def test_episodes_from_elsewhere_leave_the_hand_known_and_only_actions_to_learn(dataset: Path, tmp_path: Path, caplog):
+    root = shutil.copytree(dataset, tmp_path / "merged")  # as LeRobot merges: what an episode lacks is null
+    (file,) = (root / "meta/episodes").glob("*/*.parquet")
+    table = pq.read_table(file)
+    for number, field in enumerate(table.schema):
+        if field.name in (recordings.CAPTURE, recordings.WINDOW, *(f.key for f in episode_features())):
+            cells = [None, *table[field.name].to_pylist()[1:]]
+            table = table.set_column(number, field, pa.array(cells, field.type))
+    pq.write_table(table, file)
+    ours, merged = (LeRobotDatasetMetadata("local/ours", root=place) for place in (dataset, root))
+    known, rig = (recordings.describe(meta, ["observation.images.ego"]) for meta in (ours, merged))
+    assert known.capture
+    assert rig == replace(known, capture="", radius_m=Rig.radius_m)
+    assert f"1 of {merged.total_episodes} episodes" in caplog.text
+    features = dataset_to_policy_features(merged.features)
+    inputs = {key: features[key] for key in ("observation.images.ego", "observation.state")}
+    options = {"encoder": "conv", "encoder_options": {"channels": 8}, "cache_images": False, "rig": rig}
+    config = ObActConfig(input_features=inputs, output_features={"action": features["action"]}, **options)
+    found = recordings.Recordings.encoded(merged, config, ObActModel(config))
+    assert found.teacher is None
+    assert found.episodes.window[0] == 0 < found.episodes.window[1]
 
 
 def cached(folder: Path) -> Path:
