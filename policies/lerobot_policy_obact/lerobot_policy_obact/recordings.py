@@ -116,7 +116,7 @@ def describe(meta: Any, cameras: list[str]) -> Rig:
     speed, _, latency_ms = _first(table, HAND_LIMITS) or (0.0, 0.0, 0.0)
     # with the palm's displacement as action (control mode grasp), the teachers' answers would be of another kind
     absolute = meta.features[ACTION]["shape"] == meta.features.get("observation.state", {}).get("shape")
-    captures = table[CAPTURE] if TARGET_PATH in _episode_schema(meta) and absolute else [None]
+    captures: list[Any] = table[CAPTURE] if TARGET_PATH in _episode_schema(meta) and absolute else [None]
     if (lacking := captures.count(None)) and lacking < len(captures):
         logging.warning("%d of %d episodes lack the target's path: only actions are learned", lacking, len(captures))
     capture = "" if lacking else captures[0]
