@@ -78,7 +78,7 @@ class Recordings:
         count = torch.tensor(table["length"])
         index = torch.minimum(torch.arange(int(count.max())), count[:, None] - 1) + (count.cumsum(0) - count)[:, None]
         state = torch.cat([columns[key] for key in config.state_keys], dim=-1)
-        window = torch.tensor([frames or 0 for frames in table.get(WINDOW, [0] * len(count))])
+        window = torch.tensor([frames or 0 for frames in table.get(WINDOW, [0] * len(count))], dtype=torch.long)
         sightings = encoded_images(meta, config, model, table["length"])
         episodes = Episodes(sightings[index], state[index], columns[ACTION][index], count, window)
         named = torch.zeros(len(count), dtype=torch.bool)
