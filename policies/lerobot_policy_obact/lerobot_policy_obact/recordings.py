@@ -103,8 +103,8 @@ def _teacher_of(rig: Rig, table: dict[str, list[Any]]) -> Teacher:
 def describe(meta: Any, cameras: list[str]) -> Rig:
     """Return what a dataset says of its clock, its cameras, its hand and its targets.
 
-    Episodes that were merged into it may lack what others know: they were recorded with the same hand, but without the
-    path of every target nothing is learned from one.
+    Episodes merged from elsewhere may lack these columns. Camera poses and hand limits then come from the first episode
+    that has them; the target's path counts only if every episode has one.
     """
     views, calibration = {key: key.split(".")[-1] for key in cameras}, {}
     of_cameras = {name.format(view) for view in views.values() for name in (CAMERA_POSE, CAMERA_INTRINSICS)}
@@ -131,7 +131,7 @@ def describe(meta: Any, cameras: list[str]) -> Rig:
 
 
 def _first(table: dict[str, list[Any]], name: str) -> Any:
-    """Return the first value of a column that an episode has; None if there is none."""
+    """Return the first value of a column that is not null; None if there is none."""
     return next((value for value in table.get(name, []) if value is not None), None)
 
 
