@@ -19,7 +19,7 @@ from torch.nn.functional import pad
 from .attention import Memory
 from .belief import Frames, palm_of, stepped
 from .camera import Pinhole
-from .decisions import SPREAD, Episodes
+from .decisions import ROLLED_FRAMES, SPREAD, Episodes
 from .encoders import N_SIGHTING
 from .teacher import NEVER, Targets, Teacher
 
@@ -97,7 +97,8 @@ class VirtualEpisodes:
                 carried, held = targets.carried[:, t] + hands.palm - before, (targets.held <= t)[:, None]
                 targets.carried[:, t + 1] = torch.where(held, carried, targets.carried[:, t + 1])
         everyone.free.copy_(torch.minimum(length, everyone.held + (HELD_FRAMES if teacher.carries else 0)))
-        return Episodes(sightings, state, torch.empty(n, len(time_s), 0), length, window, everyone)
+        needed = torch.minimum(length, everyone.free + ROLLED_FRAMES)
+        return Episodes(sightings, state, torch.empty(n, len(time_s), 0), needed, window, everyone)
 
     def _true(self, camera: Pinhole, place: Tensor, state: Tensor) -> Tensor:
         """Return ``(u, v, log depth)`` of targets at ``(..., 3)`` [m] for robots in states ``(..., S)``, and how far
