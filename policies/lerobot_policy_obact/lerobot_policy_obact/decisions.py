@@ -16,6 +16,7 @@ from einops import rearrange, repeat
 from lerobot.utils.constants import ACTION
 from torch import Tensor
 
+from .attention import MEMORY_FRAMES
 from .belief import FORECAST_FRAMES, Frames, Outlook, Record, gather_frames, palm_of, stepped
 from .teacher import Targets, Teacher
 
@@ -46,6 +47,13 @@ class Episodes(Record):
         """Draw n of several times n episodes, which are of similar length and so need little padding."""
         order = candidates[(self.count[candidates] + torch.rand(len(candidates))).argsort()]
         return self[order.view(-1, n)[torch.randint(len(order) // n, ())]]
+
+    def cut(self, n: int) -> Episodes:
+        """Return n consecutive frames of each, drawn anew, and nothing of the targets."""
+        start = (torch.rand(len(self.count)) * (self.count - n + 1).clamp_min(1)).long()
+        frame = torch.minimum(start[:, None] + torch.arange(n), self.count[:, None] - 1)
+        seen = (gather_frames(x, frame) for x in (self.sightings, self.state, self.actions))
+        return Episodes(*seen, self.count.clamp_max(n), (self.window - start).clamp_min(0))
 
     def frames(self, rows: Tensor, fps: float) -> Frames:
         """Return the frames up to the last of ``rows``, recorded at ``fps`` [Hz]."""
@@ -192,6 +200,8 @@ def episode_losses(model: ObActModel, episodes: Episodes, teacher: Teacher | Non
     """Return the losses of encoded episodes, ``(B,)`` each; without a teacher those of the recorded actions alone."""
     config, device = model.config, model.device
     n, delay = config.n_decisions, config.rig.delay_frames
+    if teacher is None and episodes.state.shape[1] > MEMORY_FRAMES:
+        episodes = episodes.cut(MEMORY_FRAMES)  # while acting, too, no more is remembered
     rows = episodes.decision_rows(n, delay)
     decisions = episodes.decisions(rows, teacher, config)
     closes = teacher is not None and config.closed_loop_weight > 0

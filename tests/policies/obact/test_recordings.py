@@ -15,7 +15,9 @@ from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.datasets.video_utils import FrameTimestampError
 from lerobot.utils.feature_utils import dataset_to_policy_features
 from lerobot_policy_obact import ObActConfig, recordings
+from lerobot_policy_obact.attention import MEMORY_FRAMES
 from lerobot_policy_obact.configuration_obact import Rig
+from lerobot_policy_obact.decisions import Episodes, episode_losses
 from lerobot_policy_obact.modeling_obact import ObActModel
 from safetensors.torch import save_file
 
@@ -85,6 +87,26 @@ def test_episodes_from_elsewhere_leave_the_hand_known_and_only_actions_to_learn(
     first, second, *_ = found.episodes.window
     assert first == 0 < second
     assert found.episodes.window.dtype == torch.long
+
+
+def test_of_recordings_of_minutes_it_learns_ten_seconds_at_a_time_from_anywhere(monkeypatch: pytest.MonkeyPatch):
+    config = ObActConfig(encoder="conv", encoder_options={"channels": 8}, **FEATURES)
+    model, count = ObActModel(config), torch.tensor([1000, 150])
+    frame = torch.minimum(torch.arange(1000), count[:, None] - 1)[..., None].float()
+    episodes = Episodes(
+        torch.zeros(2, 1000, 1, 69), frame.expand(-1, -1, 18), frame.expand(-1, -1, 18), count, count * 0
+    )
+    attended, encode = [], model.encode_history
+    monkeypatch.setattr(model, "encode_history", lambda frames, rows: attended.append(frames) or encode(frames, rows))
+    for _ in range(20):
+        episode_losses(model, episodes, None)
+    seen = [frames.state[..., 0] for frames in attended]
+    assert max(frames.shape[1] for frames in seen) <= MEMORY_FRAMES
+    assert min(float(long[0]) for long, _ in seen) < 300
+    assert max(float(long[0]) for long, _ in seen) > 500
+    for long, short in seen:
+        assert (long.diff() == 1).all()
+        assert short.equal(torch.arange(len(short)).clamp_max(149).float())
 
 
 def cached(folder: Path) -> Path:
