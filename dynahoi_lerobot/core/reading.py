@@ -15,8 +15,9 @@ import stat
 import zipfile
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import is_dataclass
+from dataclasses import fields, is_dataclass
 from enum import Enum
+from itertools import pairwise
 from pathlib import Path
 from types import UnionType
 from typing import TYPE_CHECKING, Any, Union, get_args, get_origin, get_type_hints
@@ -36,8 +37,8 @@ TEXT_BYTES, YAML_BYTES = 32 * MIB, MIB
 """Largest JSON or other text; YAML takes a thousand times as long."""
 DEPTH, VALUES, INTEGER = 64, 3 * 10**6, 2**64
 """Deepest nesting, most values and largest integer of JSON and YAML."""
-TABLE_BYTES = GIB
-"""Largest table or arrays in memory."""
+TABLE_BYTES, ARRAY_BYTES = GIB, GIB // 4
+"""Largest table, and arrays, in memory; arrays are copied when they are decoded and checked."""
 UNQUESTIONED, GROWTH = 32 * MIB, 64
 """Arrays and tables may grow to this size [bytes], and beyond it by this factor of that of their file."""
 ROWS_AT_ONCE, ROWS_BYTES = 64, 32 * MIB
@@ -104,9 +105,9 @@ def read_text(path: Path, most: int = TEXT_BYTES) -> str:
         return read_bytes(path, most).decode()
 
 
-def sha256(path: Path) -> str:
+def sha256(path: Path, most: int = WEIGHTS_BYTES) -> str:
     """Return the sha256 of a file in hexadecimal."""
-    with opened(path, WEIGHTS_BYTES) as file:
+    with opened(path, most) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
@@ -159,7 +160,9 @@ def fits(value: Any, hint: Any) -> bool:
         return items is not None and len(items) == len(wanted) and all(map(fits, items, wanted))
     if is_dataclass(hint):
         hints = get_type_hints(hint)
-        return isinstance(value, dict) and all(fits(item, hints.get(name, Any)) for name, item in value.items())
+        needed = {entry.name for entry in fields(hint) if entry.default is entry.default_factory}  # both MISSING
+        known = isinstance(value, dict) and needed <= value.keys()
+        return known and all(fits(item, hints.get(name, Any)) for name, item in value.items())
     if isinstance(hint, type) and issubclass(hint, Enum):
         return isinstance(value, str) and value in hint.__members__
     kinds = {float: (int, float), None: type(None), Path: str, tuple: (list, tuple)}.get(hint, hint)
@@ -259,7 +262,7 @@ def _refuse_growth(path: Path, size: int, most: int) -> None:
 def read_arrays(path: Path, names: Collection[str]) -> dict[str, np.ndarray]:
     """Return some arrays of numbers of an npz file."""
     with opened(path) as file, zipfile.ZipFile(file) as archive:
-        _refuse_growth(path, sum(archive.getinfo(f"{name}.npy").file_size for name in names), TABLE_BYTES)
+        _refuse_growth(path, sum(archive.getinfo(f"{name}.npy").file_size for name in names), ARRAY_BYTES)
         return {name: _array(archive.read(f"{name}.npy")) for name in names}
 
 
@@ -297,6 +300,8 @@ def open_table(path: Path, columns: Collection[str] | None = None) -> pq.Parquet
 
     with reading(path):
         file = pq.ParquetFile(regular(path))
+        if len(names := sorted(file.schema_arrow.names)) > len({*names}):
+            raise ValueError(f"its column {next(a for a, b in pairwise(names) if a == b)} appears again")
         _refuse_growth(path, _decoded_bytes(file, path, columns), TABLE_BYTES)
         return file
 

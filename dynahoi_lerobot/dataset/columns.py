@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 from PIL import Image
 
 from dynahoi_lerobot.core.control_mode import mode_of
@@ -130,12 +131,28 @@ def flat_array(values: np.ndarray, kind: pa.DataType) -> pa.Array:
 
 
 def column_array(table: pa.Table, key: str) -> np.ndarray:
-    """Return a numeric column as (n, D); LeRobot's own tools write lists that are not of a fixed size."""
-    column = table[key].combine_chunks()
-    rows = len(column)
-    if pa.types.is_fixed_size_list(column.type) or pa.types.is_list(column.type):
-        column = column.flatten()
-    return column.to_numpy(zero_copy_only=False).reshape(rows, -1 if rows else 1)  # (n, D)
+    """Return a numeric column as (n, D); LeRobot's own tools write lists that are not of a fixed size.
+
+    Raises:
+        ValueError: if it has something else than numbers, or not as many in each row.
+    """
+    values = column = table[key].combine_chunks()
+    lengths: Any = [1]
+    if is_list(column.type):
+        values, lengths = column.flatten(), pc.call_function("list_value_length", [column]).unique().to_pylist()
+    if not is_number(values.type) or column.null_count or values.null_count or len(lengths) > 1 or lengths == [0]:
+        raise ValueError(f"its column {key} is of type {column.type}; it must hold as many numbers in every row")
+    return values.to_numpy(zero_copy_only=False).reshape(len(column), -1 if len(column) else 1)  # (n, D)
+
+
+def is_list(kind: pa.DataType) -> bool:
+    """Tell whether an arrow type is of lists."""
+    return pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind) or pa.types.is_large_list(kind)
+
+
+def is_number(kind: pa.DataType) -> bool:
+    """Tell whether an arrow type is of numbers, of which a bool is one."""
+    return pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)
 
 
 def subtask_rows(acting: np.ndarray, localized: np.ndarray) -> list[dict[str, Any]]:

@@ -7,14 +7,23 @@ anything there; ``dataset.frame_column`` reads them.
 
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, fields
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 import pyarrow as pa
 
 from dynahoi_lerobot.core.episode import Episode, EpisodeMeta
 from dynahoi_lerobot.core.features import Feature, episode_features
-from dynahoi_lerobot.dataset.columns import BOOKKEEPING, SCALARS, Features, bookkeeping_arrays, image_keys, numeric_keys
+from dynahoi_lerobot.dataset.columns import (
+    BOOKKEEPING,
+    SCALARS,
+    Features,
+    bookkeeping_arrays,
+    image_keys,
+    is_list,
+    is_number,
+    numeric_keys,
+)  # fmt: skip
 from dynahoi_lerobot.dataset.statistics import NAMES, Stats, table_stats
 
 EpisodeRow = dict[str, Any]
@@ -22,6 +31,8 @@ EpisodeRow = dict[str, Any]
 FACTS = {field.name: pa.string() if field.type is str else pa.int64() for field in fields(EpisodeMeta)}
 FACTS |= {"success": pa.bool_(), "stage": pa.string()}
 """Our columns that hold one value."""
+FACT_TYPES = get_type_hints(EpisodeMeta) | {"success": bool, "stage": str, "tasks": tuple[str]}
+"""What an episode needs to be copied; an edited dataset may lack it."""
 
 
 def own_columns(episode: Episode, features: Iterable[Feature]) -> EpisodeRow:
@@ -35,12 +46,15 @@ def own_values(row: EpisodeRow) -> dict[str, Any]:
 
     Raises:
         KeyError: if a column is missing that every dataset has.
+        ValueError: if an array by frame is not as long as the episode.
     """
-    held = (f for f in episode_features() if not f.derived and (f.key in row or not f.optional))
+    held = [f for f in episode_features() if not f.derived and (f.key in row or not f.optional)]
     meta = EpisodeMeta(**{field.name: row[field.name] for field in fields(EpisodeMeta)})
-    return {"meta": meta, "success": row["success"], "stage": row["stage"]} | {
-        f.name: _value(row[f.key], f) for f in held
-    }
+    values = {f.name: _value(row[f.key], f) for f in held}
+    for f in held:
+        if f.per == "frame" and not f.constant and len(values[f.name]) != row["length"]:
+            raise ValueError(f"{f.key} has {len(values[f.name])} rows; the episode has {row['length']} frames")
+    return {"meta": meta, "success": row["success"], "stage": row["stage"]} | values
 
 
 def _cells(value: Any, feature: Feature) -> Any:
@@ -98,6 +112,20 @@ def row_schema(features: Features, columns: Sequence[Feature]) -> pa.Schema:
         types |= {f"stats/{key}/{name}": _stat_type(key in images, name) for name in NAMES}
     types |= {"meta/episodes/chunk_index": pa.int64(), "meta/episodes/file_index": pa.int64()}
     return pa.schema(list(types.items()))
+
+
+def fits_column(found: pa.DataType, wanted: pa.DataType) -> bool:
+    """Tell whether a column may be of another type than ``row_schema`` says.
+
+    LeRobot's tools write other numbers and lists, and null where an episode of others lacks it.
+    """
+    if pa.types.is_null(found) or (is_list(found) and is_list(wanted)):
+        return pa.types.is_null(found) or fits_column(found.value_type, wanted.value_type)
+    return (
+        found in (pa.string(), pa.large_string())
+        if pa.types.is_string(wanted)
+        else is_number(found) and is_number(wanted)
+    )
 
 
 def _type(feature: Feature) -> pa.DataType:

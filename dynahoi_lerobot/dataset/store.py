@@ -26,7 +26,7 @@ from dynahoi_lerobot.core.reading import (
     regular,
 )  # fmt: skip
 from dynahoi_lerobot.dataset.columns import Features, column_array, content_values, image_keys, numeric_keys, read_png
-from dynahoi_lerobot.dataset.episode_table import EpisodeRow, own_values
+from dynahoi_lerobot.dataset.episode_table import EpisodeRow, fits_column, own_values, row_schema
 from dynahoi_lerobot.dataset.paths import DATA_PATH, INFO_PATH, TASKS_PATH, VIDEO_PATH, check_root
 from dynahoi_lerobot.dataset.video import Encoding, decode
 
@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 PLACE = ("episode_index", "length", "dataset_from_index", "dataset_to_index", "data/chunk_index", "data/file_index")
 """Columns of the episode table that say where an episode lies."""
+CELLS = 10**7
+"""Most values of the episode table, without arrays, that are held in memory: ten million frames have fewer."""
 
 
 def open_dataset(root: Path, **options: Any) -> LeRobotDataset:
@@ -219,9 +221,18 @@ class Store:
             ValueError: if a file of it is damaged, or there is none.
         """
         rows: list[EpisodeRow] = []
+        wanted, cells = row_schema(self.features, episode_features()), 0
         for path in self.row_files():
-            names = open_table(path, ()).schema_arrow.names
-            for row in read_rows(path, [name for name in names if not name.startswith(EPISODE_TABLE_PREFIX)]):
+            file = open_table(path, ())
+            held = {field.name: field.type for field in file.schema_arrow}
+            for name, kind in held.items():
+                if name in wanted.names and not fits_column(kind, told := wanted.field(name).type):
+                    raise ReadError(f"{path} has a column {name} of type {kind}; it must be {told}")
+            names = [name for name in held if not name.startswith(EPISODE_TABLE_PREFIX)]
+            names = [name for name in names if name in wanted.names or not pa.types.is_nested(held[name])]
+            if (cells := cells + file.metadata.num_rows * len(names)) > CELLS:
+                raise ReadError(f"{path} says {cells} things or more of the episodes, beyond {CELLS}")
+            for row in read_rows(path, names):
                 places = [name for name in row if name.startswith("videos/") and name.endswith("_index")]
                 if wrong := [name for name in (*PLACE, *places) if not fits(row.get(name), int) or row[name] < 0]:
                     raise ReadError(f"{path} says {wrong[0]} of an episode is {row.get(wrong[0])!r}")

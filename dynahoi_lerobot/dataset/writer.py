@@ -22,6 +22,7 @@ from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import IMAGE_PREFIX, Feature
 from dynahoi_lerobot.core.files import new_folder
+from dynahoi_lerobot.core.reading import require
 from dynahoi_lerobot.dataset import columns as frame_table
 from dynahoi_lerobot.dataset import episode_table, paths
 from dynahoi_lerobot.dataset.card import write_card
@@ -172,9 +173,15 @@ class DatasetWriter:
         """Append one episode that another dataset of the same features holds, without decoding or encoding images.
 
         ``row`` is its full row, ``table`` its frames, and ``packets`` are those of each view, none without video.
+
+        Raises:
+            TypeError, ValueError: if the row lacks a fact, a column numbers, or one is of another type.
         """
         columns = {name: table[name].combine_chunks() for name in table.column_names}
         own = episode_table.without_place(row)
+        require(own, episode_table.FACT_TYPES)
+        for key in frame_table.numeric_keys(self.features):
+            frame_table.column_array(table, key)
         self._append(own, columns, packets, lambda key: partial(copied_stream, path=store.video_path(row, key)))
 
     def finish(self, provenance: dict[str, Any] | None = None, yields: dict[str, int] | None = None) -> Manifest:

@@ -5,9 +5,11 @@ random weights where a checkpoint has none. ``docs/notes/trust.md`` says what is
 """
 
 import inspect
+import logging
 import os
 import re
 import sys
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
@@ -264,9 +266,9 @@ def _pipeline_findings(file: Path) -> Iterator[str]:
             with reading(file):
                 hints = get_type_hints(kind if is_dataclass(kind) else kind.__init__)
                 require(config, {key: hints[key] for key in config if key in hints})
-        if (state := step.get("state_file")) is not None:
+        if "state_file" in step:
             try:
-                inside(file.parent, state)
+                inside(file.parent, state := step["state_file"])
             except ReadError:
                 yield f"names the state file {state!r}, which is not inside the checkpoint"
 
@@ -341,9 +343,13 @@ def _no_larger(stored: Mapping[str, tuple[str, tuple[int, ...]]]) -> Iterator[No
             raise PolicyError(f"{CONFIG} describes a larger policy than the {held} weights of {WEIGHTS}")
 
     hook = register_module_parameter_registration_hook(count)
+    before = logging.root.manager.disable
+    logging.disable(logging.WARNING)  # what LeRobot and torch warn of, `_check_fit` refuses
     try:
-        yield
+        with warnings.catch_warnings(action="ignore"):
+            yield
     finally:
+        logging.disable(before)
         hook.remove()
 
 
@@ -385,8 +391,9 @@ def _check_statistics(file: Path, pipeline: Any, config: Any) -> None:
             for name in STATISTICS[mode]:
                 if (values := step.stats.get(key, {}).get(name)) is None:
                     raise PolicyError(f"{file} normalises {key}, and its statistics lack the {name} of that")
-                with reading(file):
-                    fits = np.broadcast_shapes(np.shape(values), shape := tuple(feature.shape)) == shape
+                shape, fits = tuple(feature.shape), False
+                with suppress(ValueError):
+                    fits = np.broadcast_shapes(np.shape(values), shape) == shape
                 if not (fits and np.isfinite(values).all()):
                     raise PolicyError(f"{file} normalises {key} by a {name} that is not finite, or not of its shape")
     needed = config.output_features if "post" in file.name else config.input_features

@@ -76,7 +76,7 @@ class PolicyAgent(ChunkAgent):
 
         with torch.inference_mode():
             action = self._policy.select_action(self._batch(observation))
-        return self._after(action).to("cpu").numpy()
+        return self._commands(action)
 
     @property
     def accepts_guidance(self) -> bool:
@@ -126,8 +126,15 @@ class PolicyAgent(ChunkAgent):
                 self._chunk = self._policy.predict_action_chunk(queued_frame(self._policy, batch), **guidance)
             except NotImplementedError as error:
                 raise PolicyError(f"{self.name} predicts no chunks of actions; use inference mode sync") from error
-            actions = self._after(self._chunk).to("cpu").numpy()[worlds]
+            actions = self._commands(self._chunk)[worlds]
         return actions, np.full(len(worlds), time.perf_counter() - start)
+
+    def _commands(self, normalised: Any) -> np.ndarray:
+        """What the policy's actions, as it predicts them, stand for."""
+        commands: np.ndarray = self._after(normalised).to("cpu").numpy()
+        if not np.isfinite(commands).all():
+            raise PolicyError(f"{self.name} gives commands that are not finite numbers")
+        return commands
 
     def _batch(self, observation: Observation) -> dict[str, Any]:
         """What the policy takes, as ``lerobot-eval`` prepares it."""

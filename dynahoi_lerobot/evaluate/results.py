@@ -58,6 +58,8 @@ UNIFORM = ("capture", "benchmark", "protocol", "control_class")
 
 LARGEST = SEED_LIMIT
 """No number in a row or a command is larger."""
+MOST_EPISODES = 10**4
+"""Episodes of an evaluation; the intervals of more would take minutes."""
 
 REMEDY = "run `dynahoi evaluate` with this folder as --out"
 WEIGHTS = "weights"
@@ -314,7 +316,9 @@ def _read_rows(path: Path) -> list[Row]:
     import pyarrow as pa
 
     with reading(path):
-        if differing := set(open_table(path).schema_arrow) ^ set(pa.schema(COLUMNS)):
+        if (count := (file := open_table(path)).metadata.num_rows) > MOST_EPISODES:
+            raise ValueError(f"it has {count} episodes; an evaluation has at most {MOST_EPISODES}")
+        if differing := set(file.schema_arrow) ^ set(pa.schema(COLUMNS)):
             name = min(field.name for field in differing)
             raise TypeError(f"its column {name} is missing, surplus or of another type")
         rows = [{name: row[name] for name in COLUMNS} for row in read_rows(path)]

@@ -21,7 +21,7 @@ from dynahoi_lerobot.core.features import IMAGE_PREFIX, episode_features
 from dynahoi_lerobot.core.reading import decoded, open_table, read_object, read_rows, read_table
 from dynahoi_lerobot.dataset.columns import LANGUAGE, described_features
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, row_stats
-from dynahoi_lerobot.dataset.manifest import NOT_OURS, Manifest
+from dynahoi_lerobot.dataset.manifest import NOT_OURS, Manifest, has_own_card
 from dynahoi_lerobot.dataset.merge import Opened, episode_packets
 from dynahoi_lerobot.dataset.paths import CARD_PATH, MANIFEST_PATH, FileLimits
 from dynahoi_lerobot.dataset.statistics import SHARES, level_counts
@@ -51,7 +51,7 @@ def meta_problems(store: Store, manifest: Manifest) -> Iterator[str]:
             episode = store.as_episode(row, table, images=True)
             yield from _repeats(episode, index, seen)
             writer.repeat(episode, row, episode_packets(store, row, opened))
-        made = writer.finish(manifest.provenance, manifest.yields)
+        made, own_card = writer.finish(manifest.provenance, manifest.yields), has_own_card(store.root, manifest)
         yield from _facts(manifest, made, sum(not row["success"] for row in store.rows))
         for name in sorted({*made.files, *writer.videos, *manifest.files} - (set(NOT_OURS) - set(made.files))):
             stored, again = store.root / name, writer.root / name
@@ -63,7 +63,7 @@ def meta_problems(store: Store, manifest: Manifest) -> Iterator[str]:
                 yield from (f"{name}{problem}" for problem in _table(stored, again, writer.tolerance))
             elif name.endswith(".json"):
                 yield from (f"{name}{problem}" for problem in _object(read_object(stored), read_object(again)))
-            elif name in made.files and _signed(stored, name, manifest) and stored.read_bytes() != again.read_bytes():
+            elif made.files.get(name, listed := manifest.files[name]) != listed and (name != CARD_PATH or own_card):
                 yield f"{name} is not what the card's template makes of the dataset"
 
 
@@ -78,11 +78,6 @@ def _facts(said: Manifest, made: Manifest, failed: int) -> Iterator[str]:
         }
         if told != (counts := counts | {"tried": made.episodes + counts["missed"] + counts["rejected"]}):
             yield f"{MANIFEST_PATH} says yields is {short(told)}; the episodes give {short(counts)}"
-
-
-def _signed(path: Path, name: str, manifest: Manifest) -> bool:
-    """Tell whether the manifest vouches for a file: people edit cards, and LeRobot's ``push_to_hub`` writes its own."""
-    return name != CARD_PATH or (path.is_file() and sha256(path.read_bytes()).hexdigest() == manifest.files[name])
 
 
 class _Unwritten(VideoFile):

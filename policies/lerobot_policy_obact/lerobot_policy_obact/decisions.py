@@ -52,8 +52,8 @@ class Episodes(Record):
         """Return n consecutive frames of each, drawn anew, and nothing of the targets."""
         start = (torch.rand(len(self.count)) * (self.count - n + 1).clamp_min(1)).long()
         frame = torch.minimum(start[:, None] + torch.arange(n), self.count[:, None] - 1)
-        seen = (gather_frames(x, frame) for x in (self.sightings, self.state, self.actions))
-        return Episodes(*seen, self.count.clamp_max(n), (self.window - start).clamp_min(0))
+        sightings, state, actions = (gather_frames(x, frame) for x in (self.sightings, self.state, self.actions))
+        return Episodes(sightings, state, actions, self.count.clamp_max(n), (self.window - start).clamp_min(0))
 
     def frames(self, rows: Tensor, fps: float) -> Frames:
         """Return the frames up to the last of ``rows``, recorded at ``fps`` [Hz]."""
