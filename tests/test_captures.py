@@ -52,21 +52,14 @@ def test_a_target_at_4_m_s_is_caught_at_its_closest_step(specs: list[EpisodeSpec
     np.testing.assert_allclose(held, batch.palm_distance, rtol=0, atol=1e-4)
 
 
-def test_a_target_that_passes_outside_the_radius_is_not_caught(specs: list[EpisodeSpec]):
+@pytest.mark.parametrize(("miss_m", "frame"), [(LOCALIZATION_RADIUS_M + 0.001, 2), (0.0, -5)])
+def test_a_target_that_passes_outside_the_radius_or_in_the_window_is_not_caught(miss_m: float, frame: int, specs):
     control = specs[3].window_frames
-    batch = world([passing(specs[3], 4.0, LOCALIZATION_RADIUS_M + 0.001, (control + 2) * CONTROL_DT)])
+    batch = world([passing(specs[3], 4.0, miss_m, (control + frame) * CONTROL_DT)])
     for _ in range(control + 5):
         batch.step(batch.executed)
     assert not batch.localized[0]
     assert np.linalg.norm(relative_pose(batch)[0]) > 0.5, "it flew on"
-
-
-def test_nothing_is_caught_in_the_window(specs: list[EpisodeSpec]):
-    batch = world([passing(specs[3], 1.0, 0.0, 3 * CONTROL_DT)])
-    for _ in range(specs[3].window_frames):
-        batch.step(batch.executed)
-    assert not batch.localized[0]
-    assert relative_pose(batch)[0][1] == pytest.approx((specs[3].window_frames - 3) * CONTROL_DT, abs=1e-6)
 
 
 def test_a_welded_target_moves_with_the_hand_as_it_lies(specs: list[EpisodeSpec]):
@@ -127,30 +120,19 @@ ARRIVAL = 6
 
 
 class Closed(Expert):
-    """Closes at home, to a share of the reference grasp."""
+    """Closes at home."""
 
     name = "closed"
 
-    def __init__(self, share: float) -> None:
-        self.share = share
-
     def act(self, world: WorldState) -> np.ndarray:
-        spec = world.specs[0]
-        return np.concatenate([np.zeros(3), self.share * spec.reference_joints])[None]
+        return np.concatenate([np.zeros(3), world.specs[0].reference_joints])[None]
 
 
-def played(spec: EpisodeSpec, capture: str, miss_m: float, share: float = 1.0) -> Episode:
+def played(spec: EpisodeSpec, capture: str, miss_m: float) -> Episode:
     """A closed hand at home, and a target that passes ``miss_m`` in front of it at 1 m/s."""
     passes = passing(spec, 1.0, miss_m, (spec.window_frames + ARRIVAL) * CONTROL_DT)
     batch = WorldBatch(replace(SMALL, capture=capture), 1, threads=1)
-    return next(evaluate(batch, Closed(share), [passes]))
-
-
-def test_a_fist_passes_the_papers_grasp_and_is_no_success(specs: list[EpisodeSpec]):
-    episodes = {share: played(specs[3], "attach", 0.02, share) for share in (0.5, 1.0, 10.0)}
-    judged = {share: (measure(e)["S_gra"], measure(e)["S_joint"], e.success, e.stage) for share, e in episodes.items()}
-    assert judged == {0.5: (0, 0, False, "localized"), 1.0: (1, 1, True, "captured"), 10.0: (1, 0, False, "localized")}
-    assert not episodes[10.0].reward.any()
+    return next(evaluate(batch, Closed(), [passes]))
 
 
 @pytest.mark.parametrize("capture", ["attach", "attach_lenient"])
@@ -253,13 +235,6 @@ def test_the_touch_of_the_first_frame_is_the_mean_over_it(constant: EpisodeSpec)
         touched |= batch.contacts.by_hand
 
 
-def test_a_touched_pendulum_loses_its_string():
-    spec = sample_spec(replace(RECIPE, motions=("planar",)), 1)
-    episode = caught([spec])[0]
-    assert episode.stage == "held"
-    assert np.linalg.norm(episode.target_pose[-1, :3] - episode.state[-1, :3]) < 0.05
-
-
 def caught(specs: list[EpisodeSpec], expert: str = "match") -> list[Episode]:
     return list(evaluate(WorldBatch(RECIPE, 8, threads=1), EXPERTS[expert](), specs))
 
@@ -272,7 +247,7 @@ def test_the_expert_holds_nearly_everything_at_its_first_attempt(contact_episode
 
 
 def test_a_hand_that_stays_open_holds_nothing():
-    assert not any(episode.success for episode in caught(sample_specs(RECIPE, range(8)), expert="hold"))
+    assert not any(episode.success for episode in caught(sample_specs(RECIPE, range(4)), expert="hold"))
 
 
 # -- the verdict ---------------------------------------------------------------------------------------------------
@@ -317,7 +292,4 @@ def test_stages(played: Track, stage: str):
     by_frame = [rule.success(played.first(frames)) for frames in range(1, 21)]
     assert rule.succeeded(played).tolist() == by_frame
     assert by_frame == sorted(by_frame), "a success stays one"
-
-
-def test_a_catch_succeeds_in_the_frame_that_completes_the_hold():
-    assert CAPTURES["contact"]().succeeded(track(thumb=20, index=20)).argmax() == HELD_FRAMES - 1
+    assert stage != "held" or by_frame.index(True) == HELD_FRAMES - 1, "the frame that completes the hold"

@@ -38,6 +38,7 @@ def test_it_runs_and_writes_its_numbers(name: str, run: Callable[..., dict[str, 
     assert re.search(r"[: ][0-9.]*[1-9]", json.dumps(table)), "a number above 0"
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_an_eye_is_tested_on_what_a_policy_sees(run: Callable[..., dict[str, Any]]) -> None:
     checkpoint = BENCHMARKS.parent / "checkpoints" / "obact_standard"
@@ -45,9 +46,8 @@ def test_an_eye_is_tested_on_what_a_policy_sees(run: Callable[..., dict[str, Any
     assert 10 < sum(row["images"] for row in rows) < 60, "two episodes, from the window to the meeting"
 
 
-@pytest.mark.parametrize(("place", "sentence"), [("file/n.json", "file is a file"), (".", "is a folder; name a file")])
-def test_a_place_that_cannot_hold_the_numbers_is_refused_before_the_work(place, sentence, run, capsys):
+@pytest.mark.parametrize("place", ["file/n.json", "."])
+def test_a_place_that_cannot_hold_the_numbers_is_refused_before_the_work(place, run):
     Path("file").touch()
-    with pytest.raises(SystemExit):
+    with pytest.raises(SystemExit, match="2"):
         run("pin", "--json", place)
-    assert sentence in capsys.readouterr().err

@@ -101,6 +101,27 @@ def test_an_episode_is_shown_scored_and_compared():
     assert kept[0].images
 
 
+MALFORMED = [
+    "{", "[]", '{"x": 0}', '{"x": "a", "y": 0, "depth": 0, "closed": 0}', '{"x": NaN, "y": 0, "depth": 0, "closed": 0}',
+    "[" * 2000, '{"play": 3}', b"\x00", "9" * (MAX_MESSAGE_BYTES + 1),
+]  # fmt: skip
+
+
+def test_one_plays_at_a_time_and_a_malformed_message_ends_a_connection_and_nothing_else():
+    async def player(session, address):
+        for message in MALFORMED:
+            async with await seated(session, address) as socket:
+                second = await session.ws_connect(socket_of(address))
+                await told(second, "ready")
+                assert second.close_code == BUSY
+                await (socket.send_bytes if isinstance(message, bytes) else socket.send_str)(message)
+                await told(socket, "anything")
+                assert socket.close_code in (BAD_MESSAGE, aiohttp.WSCloseCode.MESSAGE_TOO_BIG), message[:50]
+        await (await seated(session, address)).close()
+
+    playing([], player)
+
+
 def test_a_page_closed_in_the_middle_of_an_episode_loses_nothing():
     async def player(session, address):
         async with session.ws_connect(socket_of(address)) as socket:
@@ -114,37 +135,6 @@ def test_a_page_closed_in_the_middle_of_an_episode_loses_nothing():
     kept: list[Episode] = []
     assert playing(kept, player)["left"] == 1, "the world went on, and the episode counts"
     assert len(kept) == 1
-
-
-def test_a_second_player_is_sent_away_until_the_first_has_left():
-    async def player(session, address):
-        async with session.ws_connect(socket_of(address)) as first:
-            await told(first, "ready")
-            second = await session.ws_connect(socket_of(address))
-            await told(second, "ready")
-            code = second.close_code
-        await (await seated(session, address)).close()
-        return code
-
-    assert playing([], player) == BUSY
-
-
-MALFORMED = [
-    "{", "[]", '{"x": 0}', '{"x": "a", "y": 0, "depth": 0, "closed": 0}', '{"x": NaN, "y": 0, "depth": 0, "closed": 0}',
-    "[" * 2000, '{"play": 3}', b"\x00", "9" * (MAX_MESSAGE_BYTES + 1),
-]  # fmt: skip
-
-
-def test_a_malformed_message_ends_the_connection_and_nothing_else():
-    async def player(session, address):
-        for message in MALFORMED:
-            async with await seated(session, address) as socket:
-                await (socket.send_bytes if isinstance(message, bytes) else socket.send_str)(message)
-                await told(socket, "anything")
-                assert socket.close_code in (BAD_MESSAGE, aiohttp.WSCloseCode.MESSAGE_TOO_BIG), message[:50]
-        await (await seated(session, address)).close()
-
-    playing([], player)
 
 
 def test_a_flood_of_inputs_is_swallowed():

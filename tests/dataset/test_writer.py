@@ -13,12 +13,11 @@ from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import CAMERA_KEY, COMMAND_NAMES, FEATURES, episode_features
 from dynahoi_lerobot.dataset import episode_column, frame_column, open_dataset, read_episodes, write_episodes
-from dynahoi_lerobot.dataset.card import histogram_svg
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.dataset.merge import copy_subset, merge
 from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.dataset.store import Store
-from dynahoi_lerobot.dataset.video import CODECS, Encoding, encode, stored_packets
+from dynahoi_lerobot.dataset.video import CODECS, Encoding, stored_packets
 from tests.dataset.episodes import varied_episode, write
 
 
@@ -92,54 +91,43 @@ def test_files_roll_over_at_their_limits(tmp_path):
         assert np.abs(images.astype(int) - varied_episode(row["seed"]).images["ego"]).mean() < 6
 
 
-def test_an_episodes_packets_do_not_depend_on_its_place_in_the_file(dataset):
-    store, stored = Store(dataset), []
-    for row in store.rows:
-        stored.append(len(stored))
-        packets = encode(varied_episode(row["seed"]).images["ego"], Encoding())
-        alone = [packet.size for packet in packets]
-        start = round(row["videos/observation.images.ego/from_timestamp"] * 20)
-        there = list(stored_packets(store.video_path(row, CAMERA_KEY)))[start : start + row["length"]]
-        # An mp4 file holds lengths of four bytes in place of start codes of three or four.
-        assert max(abs(packet.size - size) for packet, size in zip(there, alone, strict=True)) < 8
-        assert there[0].is_keyframe
-        assert [packet.pts for packet in there] == sorted(packet.pts for packet in there)
-
-
-def test_what_is_no_dataset_is_refused_and_leaves_nothing(tmp_path, dataset):
-    with pytest.raises(ValueError, match="33 pixels; it must be an even number"):
-        write_episodes(tmp_path / "d", [varied_episode(1, 33)])
-    with pytest.raises(ValueError, match="at least one"):
-        write_episodes(tmp_path / "d", [])
-    with pytest.raises(FileNotFoundError, match="is no LeRobot dataset"):
-        Store(tmp_path)
+def test_what_is_no_dataset_or_would_replace_one_is_refused_and_leaves_nothing(tmp_path, dataset):
+    before, new = hash_files(dataset), tmp_path / "d"
+    for error, attempt in (
+        (ValueError, lambda: write_episodes(new, [varied_episode(1, 33)])),
+        (ValueError, lambda: write_episodes(new, [])),
+        (ValueError, lambda: copy_subset(dataset, new, [])),
+        (ValueError, lambda: copy_subset(dataset, new, [0, 7])),
+        (ValueError, lambda: merge([], new)),
+        (IndexError, lambda: Store(dataset).row(6)),
+        (FileNotFoundError, lambda: Store(tmp_path)),
+        (FileExistsError, lambda: write_episodes(dataset, [varied_episode(0)])),
+        (FileExistsError, lambda: copy_subset(dataset, tmp_path, [0])),
+    ):
+        with pytest.raises(error):
+            attempt()
     assert not any(tmp_path.iterdir())
-    with pytest.raises(IndexError, match="episode 6 does not exist"):
-        Store(dataset).row(6)
-    before = hash_files(dataset)
-    with pytest.raises(FileExistsError, match="choose a new folder"):
-        write_episodes(dataset, [varied_episode(0)])
     assert hash_files(dataset) == before
 
 
 @pytest.mark.parametrize("name", ["a[b]", "a*", "a?", "a::b", "a[b]/d"])
 def test_a_path_that_lerobot_takes_for_a_pattern_is_refused_and_nothing_is_made(tmp_path, dataset, name):
     root = tmp_path / name
-    for write_to in (
+    for attempt in (
         lambda: write_episodes(root, [varied_episode(0)]),
         lambda: merge([dataset], root),
         lambda: copy_subset(dataset, root, [0]),
         lambda: open_dataset(root),
     ):
         with pytest.raises(ValueError, match="LeRobot cannot open"):
-            write_to()
+            attempt()
     assert main(["generate", "--root", str(root), "--episodes", "1"]) == 2
     assert not root.exists()
 
 
 @pytest.mark.parametrize("codec", CODECS)
-@pytest.mark.parametrize("limits", [FileLimits(), FileLimits(data_mb=0.005, video_s=2.3)])
-def test_merging_gives_the_bytes_of_writing_at_once(tmp_path, codec, limits):
+def test_merging_gives_the_bytes_of_writing_at_once(tmp_path, codec):
+    limits = FileLimits(data_mb=0.005, video_s=2.3)
     options = {"image_size": 32, "views": ("side",), "encoding": Encoding(codec), "limits": limits}
     parts = [write(tmp_path / "a", range(3), **options), write(tmp_path / "b", range(3, 5), **options)]
     merge(parts, tmp_path / "merged", limits=limits)
@@ -155,15 +143,6 @@ def test_a_copy_of_some_episodes_gives_the_bytes_of_writing_them(tmp_path):
     assert {name for name in held if found[name] != held[name]} == {"README.md"}
 
 
-def test_impossible_subsets_are_refused(dataset, tmp_path):
-    for episodes, told in (([], "at least one"), ([0, 7], "episode 7 does not exist")):
-        with pytest.raises(ValueError, match=told):
-            copy_subset(dataset, tmp_path / "x", episodes)
-    with pytest.raises(FileExistsError, match="choose a new folder"):
-        copy_subset(dataset, tmp_path, [0])
-    assert not any(tmp_path.iterdir())
-
-
 @pytest.mark.parametrize(
     ("other", "column"),
     [
@@ -177,8 +156,6 @@ def test_merge_refuses_datasets_of_other_options_and_names_the_column(tmp_path, 
     for parts in ([plain, unlike], [unlike, plain]):
         with pytest.raises(ValueError, match=f"other features than {re.escape(str(parts[0]))} .{column}"):
             merge(parts, tmp_path / "merged")
-    with pytest.raises(ValueError, match="nothing to merge"):
-        merge([], tmp_path / "merged")
     assert not (tmp_path / "merged").exists()
 
 
@@ -215,8 +192,6 @@ def test_an_episode_column_has_an_item_per_episode(dataset):
     for key, name in (("target_path", "target_path"), ("target.pose", "target_pose"), ("open_joints", "open_joints")):
         for found, episode in zip(episode_column(dataset, key), episodes, strict=True):
             np.testing.assert_array_equal(found, getattr(episode, name))
-    with pytest.raises(ValueError, match="colour"):
-        episode_column(dataset, "target.colour")
 
 
 def test_statistics_are_those_of_all_frames_and_of_each_episode(dataset):
@@ -260,12 +235,8 @@ def test_the_metadata_of_its_card_are_lerobots_and_more(dataset: Path):
 def test_its_card_counts_and_describes_what_is_there(dataset: Path):
     manifest, card = Manifest.read(dataset), (dataset / "README.md").read_text()
     assert f"{manifest.episodes} episodes ({manifest.frames} frames" in card
-    assert "| constant | 6 | 6 |" in card
-    assert "| control mode | `joints`, an action of 18 numbers |" in card
     assert "{{" not in card.replace("{{DynaHOI}", "")
     for key in [*Store(dataset).features, *(feature.key for feature in episode_features())]:
         assert f"| `{key}` |" in card
     drawing = (dataset / "assets/action.svg").read_text()
     assert all(f">{name}<" in drawing for name in COMMAND_NAMES), "every dimension has a panel"
-    assert drawing.count("V16.0h") >= len(COMMAND_NAMES), "its tallest bar fills each"
-    assert "V16.0h" in histogram_svg(np.full((3, 1), 2.0), ["still"])

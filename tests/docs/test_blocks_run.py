@@ -1,20 +1,15 @@
 """Every block of code in the pages runs as it is written, with fewer episodes and steps, and leaves what it should."""
 
-import fcntl
 import importlib
 import io
 import json
 import os
-import pty
-import re
-import struct
 import subprocess
 import sys
-import termios
 import time
 import tomllib
 from collections.abc import Callable, Iterator
-from contextlib import redirect_stdout, suppress
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import pytest
@@ -88,30 +83,14 @@ def check_data(folder: Path) -> None:
     assert len(ours) >= 10
     for root in ours:
         run(["dynahoi", "verify", str(root)])
+        assert root.name == "onpolicy" or all(episode.success for episode in read_episodes(root)), root
     edited = {path.parents[1] for path in folder.glob("data/**/meta/info.json")} - {*ours, folder / "data/slow"}
     counts = {root.name: LeRobotDataset(f"local/{root.name}", root).num_episodes for root in edited}
     assert counts == {"train": 1, "val": 1, "fewer": 1, "fewer_columns": 2}, "LeRobot's editing tool"
     assert not (folder / "data/large").exists(), "a dry run"
-
-    digests = {root.name: digest(root) for root in ours}
-    assert digests["tasks"] == digests["plain"], "datatrove writes the same bytes"
-    assert digests["dynahoi"] == digests["one_worker"]
-
-    for root in ours:
-        assert root.name == "onpolicy" or all(episode.success for episode in read_episodes(root)), root
     (throw, _) = read_episodes(folder / "data/fast_throws")
     assert throw.meta.motion in ("lob", "cross_throw")
     assert throw.meta.protocol == "occluded"
-
-
-def digest(root: Path) -> str:
-    return json.loads((root / "meta/manifest.json").read_text())["sha256"]
-
-
-def before_data(folder: Path) -> None:
-    """Generate what documented datasets are compared with: by one worker, and not by datatrove."""
-    run(["dynahoi", "generate", "--root", "data/one_worker", "--episodes", "2", "--image-size", "96"])
-    run(["dynahoi", "generate", "--root", "data/plain", "--episodes", "2"])
 
 
 def check_results(folder: Path) -> None:
@@ -127,67 +106,40 @@ def check_results(folder: Path) -> None:
     assert {label for label, found in results.items() if found.privileged} >= {"act_state", "pursuit", "occluded"}
     assert not results["act"].privileged
     assert score(results["occluded"], "S_loc") == 1.0, "the expert knows where the target will be"
-    assert score(results["appearance"], "S_joint") == 1.0
     rules = {name: found.rules for name, found in results.items()}
     assert (rules["occluded"]["protocol"], rules["occluded"]["control_class"]) == ("occluded", "late")
     assert (rules["direct_act"]["protocol"], rules["blind"]["protocol"]) == ("direct_act", "observe_then_blind")
-    assert rules["unlimited"]["control_class"] == "unlimited"
-    assert rules["contact"]["capture"] == "contact"
+    assert (rules["unlimited"]["control_class"], rules["contact"]["capture"]) == ("unlimited", "contact")
     assert "150" in rules["obact_async"]["inference"]
-
-    for clip in ("replayed.gif", "held.gif"):
-        assert (folder / clip).read_bytes()[:4] == b"GIF8"
-    assert b"ftyp" in (folder / "planar.mp4").read_bytes()[:16]
-    assert "data:image/gif" in (folder / "episode.html").read_text()
-    report = (folder / "report.html").read_text()
-    assert all(label in report for label in ("obact_standard", "pursuit", "S_loc"))
+    for clip in ("replayed.gif", "held.gif", "planar.mp4", "episode.html"):
+        assert (folder / clip).stat().st_size > 1000
+    assert all(label in (folder / "report.html").read_text() for label in ("obact_standard", "pursuit", "S_loc"))
 
 
 def score(results: Results, metric: str) -> float:
     return results.as_json()["metrics"][metric]["value"]
 
 
-def on_a_terminal(command: list[str]) -> tuple[int, str]:
-    """Run a command on a terminal of 120 columns; return its exit code and what it wrote there."""
-    ours, theirs = pty.openpty()
-    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 120, 0, 0))
-    process = subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=theirs)
-    os.close(theirs)
-    said = b""
-    with suppress(OSError):  # which a closed terminal raises
-        while chunk := os.read(ours, 65536):
-            said += chunk
-    os.close(ours)
-    return process.wait(), said.decode()
-
-
 def before_first_hour(folder: Path) -> None:
-    """Run the quickstart where its progress is seen: a bar with the time left for each stage, and nothing else.
-
-    It leaves a dataset, a checkpoint, results and a report, and the pages find them there.
-    """
+    """Run the quickstart: it leaves a dataset, a checkpoint, results and a report, and the pages find them there."""
     out = folder / "outputs/quickstart"
-    code, said = on_a_terminal([sys.executable, "-m", "dynahoi_lerobot.cli.main", "quickstart", "--tiny"])
-    assert code == 0, said
-    *stages, _ = re.split(r"\[\d/3\] \w.*: \d+ s", said)
-    for stage, unit in zip(stages, ("generating", "encoding and training", "evaluating"), strict=True):
-        bars = [part for part in stage.replace("\n", "\r").split("\r") if part.strip().startswith(unit)]
-        assert any("100%|" in bar for bar in bars), (unit, stage)
-        assert all("<" in bar for bar in bars), "elapsed<remaining"
+    command = [sys.executable, "-m", "dynahoi_lerobot.cli.main", "quickstart", "--tiny"]
+    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
+    said = done.stdout
+    assert done.returncode == 0, said
     assert not [word for word in ("Warning", "WARNING", "warning", "Traceback", "torchcodec") if word in said]
     assert said.strip().endswith((out / "report.html").as_uri())
 
     run(["dynahoi", "verify", str(out / "dataset")])
     assert json.loads((out / "training/pretrained_model/config.json").read_text())["type"] == "obact"
-    kinds, names = sorted(quickstart.KINDS[: quickstart.TINY.kinds]), ("obact", *quickstart.BASELINES)
-    for name in names:
+    kinds = sorted(quickstart.KINDS[: quickstart.TINY.kinds])
+    for name in ("obact", *quickstart.BASELINES):
         assert sorted(row["kind"] for row in read_results(out / "results" / name).rows) == kinds
+        assert name in (out / "report.html").read_text()
     assert len([*(out / "results/obact").glob("*.gif")]) == len(kinds)
-    assert all(name in (out / "report.html").read_text() for name in names)
-    assert "S_loc" in (out / "table.txt").read_text()
     with redirect_stdout(io.StringIO()) as again:
         run(["dynahoi", "quickstart", "--tiny"])
-    assert again.getvalue().count("already done") == len(stages), "a second run must find everything there"
+    assert again.getvalue().count("already done") == 3, "a second run must find everything there"
 
 
 def check_first_hour(folder: Path) -> None:
@@ -202,7 +154,7 @@ def check_first_hour(folder: Path) -> None:
 
 
 GROUPS: dict[str, tuple[Callable[[Path], None] | None, Callable[[Path], None]]] = {
-    "generate.md dataset.md lerobot.md": (before_data, check_data),
+    "generate.md dataset.md lerobot.md": (None, check_data),
     "train.md evaluate.md policies.md contact.md benchmark.md": (None, check_results),
     "README.md install.md environment.md extend.md play.md": (before_first_hour, check_first_hour),
 }

@@ -33,22 +33,17 @@ def test_every_block_is_shown_and_the_readme_states_no_interval_of_its_own():
     assert not re.findall(r"\[\d+\.\d, \d+\.\d\]", tables.BLOCK.sub("", tables.PAGES[0].read_text()))
 
 
-def write(folder: Path, figures: dict) -> None:
-    (folder / "tables.jinja").write_text(
+def test_a_stale_figure_bears_a_mark_and_its_footnote(tmp_path: Path):
+    (tmp_path / "tables.jinja").write_text(
         "{% block one %}\n| {{ f.rows.a | show }} | {{ f.rows.b | brief(0) }} |\n{% endblock %}"
     )
-    (folder / "f.json").write_text(json.dumps(figures))
-
-
-def test_a_stale_figure_bears_a_mark_and_its_footnote(tmp_path: Path):
-    old = {"stale": "Of v1.", "value": 0.25, "unit": "fraction"}
-    write(tmp_path, {"rows": {"a": {"value": 1.25, "low": 1, "high": 2}, "b": old}})
+    rows = {"a": {"value": 1.25, "low": 1, "high": 2}, "b": {"stale": "Of v1.", "value": 0.25, "unit": "fraction"}}
     page = "A\n<!-- figures: one -->\n| 7 |\n<!-- end of figures -->\nB"
+    (tmp_path / "f.json").write_text(json.dumps({"rows": rows}))
     found = tables.rendered(page, tmp_path)
     assert "| 1.2 [1.0, 2.0] | 25† |\n\n† Of v1.\n" in found
     assert tables.rendered(found, tmp_path) == found
-
-    write(tmp_path, {"rows": {"a": {"value": 1}}})
+    (tmp_path / "f.json").write_text(json.dumps({"rows": {"a": rows["a"]}}))
     with pytest.raises(UndefinedError, match="'b'"):
         tables.rendered(page, tmp_path)
 

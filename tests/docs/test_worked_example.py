@@ -24,12 +24,7 @@ def test_the_worked_example_works_as_written(tmp_path: Path):
     assert f"`{path}`" in EXAMPLE.text
     (tmp_path / path).write_text(source)
     commands = [words for words in EXAMPLE.commands if Path(path).stem in " ".join(words)]
-    assert [words[:2] for words in commands] == [
-        ["dynahoi", "view"],
-        ["pytest", "-n"],
-        ["dynahoi", "generate"],
-        ["dynahoi", "verify"],
-    ]
+    assert [program for program, *_ in commands] == ["dynahoi", "pytest", "dynahoi", "dynahoi"]
     python("-c", RUN, *(" ".join(words) for program, *words in commands if program == "dynahoi"), cwd=tmp_path)
     said = python("-m", "pytest", "-p", "no:cacheprovider", *commands[1][1:], cwd=tmp_path)
     assert re.search(r"[1-9]\d* passed", said)

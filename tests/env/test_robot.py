@@ -127,15 +127,36 @@ def test_a_paused_lerobot_that_holds_the_hand_waits_in_the_first_frame_of_the_ne
     robot = robot_on(clock)
     first = robot.world.spec.seed
     catch(robot, clock)
-    held = dict.fromkeys(robot.action_features, 0.0)
-    for _ in range(40):
-        clock.now_s += FRAME_S
-        robot.get_observation()
-        robot.send_action(held)
+    keep_still(robot, clock, 40)
     assert robot.world.spec.seed != first
     assert robot.world.batch.frame[0] == 0
     catch(robot, clock)
     assert robot.world.finished.success
+
+
+def test_the_next_episode_begins_after_restart_s_and_results_go_on_where_they_stopped(tmp_path: Path):
+    clock = Clock()
+    robot = robot_on(clock, restart_s=1.0, results_dir=tmp_path)
+    first = robot.world.spec.seed
+    catch(robot, clock)
+    keep_still(robot, clock, 25)
+    assert robot.world.spec.seed != first
+    assert read_results(tmp_path).seeds == {first}
+    robot.disconnect()
+    again = robot_on(Clock(), results_dir=tmp_path)
+    assert again.world.spec.seed != first
+    again.disconnect()
+    with pytest.raises(FileExistsError):
+        robot_on(Clock(), results_dir=tmp_path, capture="contact")
+
+
+def keep_still(robot: DynahoiRobot, clock: Clock, frames: int) -> None:
+    """Send the same dict again and again, as a paused LeRobot does."""
+    held = dict.fromkeys(robot.action_features, 0.0)
+    for _ in range(frames):
+        clock.now_s += FRAME_S
+        robot.get_observation()
+        robot.send_action(held)
 
 
 def test_writing_the_results_of_an_episode_is_no_pause_of_lerobots(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -195,25 +216,6 @@ def test_an_address_in_use_is_refused():
         port = other.getsockname()[1]
         with pytest.raises(OSError, match=str(port)):
             make_teleoperator_from_config(DynahoiBrowserConfig(port=port)).connect()
-
-
-def test_the_next_episode_begins_after_restart_s_and_results_are_written(tmp_path):
-    clock = Clock()
-    robot = robot_on(clock, restart_s=1.0, results_dir=tmp_path / "results")
-    first = robot.world.spec.seed
-    catch(robot, clock)
-    for _ in range(25):
-        clock.now_s += FRAME_S
-        robot.get_observation()
-        robot.send_action(dict.fromkeys(robot.action_features, 0.0))
-    assert robot.world.spec.seed != first
-    assert read_results(tmp_path / "results").seeds == {first}
-    robot.disconnect()
-    again = robot_on(Clock(), results_dir=tmp_path / "results")
-    assert again.world.spec.seed != first, "it goes on where it stopped"
-    again.disconnect()
-    with pytest.raises(FileExistsError, match="another run"):
-        robot_on(Clock(), results_dir=tmp_path / "results", capture="contact")
 
 
 def test_lerobot_makes_it_from_its_config_and_unknown_names_are_refused_in_one_sentence():

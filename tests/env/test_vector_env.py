@@ -21,11 +21,8 @@ from dynahoi_lerobot.env import DynahoiEnv, DynahoiVectorEnv, register_envs
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.motions import MOTIONS
-from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.sampler import sample_spec
 from dynahoi_lerobot.sampling.splits import kind_seed
-from dynahoi_lerobot.world.batch import WorldBatch
 
 SMALL = {"image_size": 16}
 BLIND = SMALL | {"image_size": 0}
@@ -96,20 +93,6 @@ def test_a_hand_that_waits_is_truncated_after_window_l_steps_and_the_outcome_of_
     assert last[1][0], "truncated"
 
 
-def test_autoreset_happens_on_the_next_step_and_ignores_its_action() -> None:
-    env = DynahoiVectorEnv(2, kind="constant", **BLIND)
-    assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
-    env.reset(seed=[0, 1])
-    first = env._batch.specs[0]
-    while not follow_expert(env, 1)[0][2][0]:
-        pass
-    assert env._batch.specs[0] is first, "the terminal observation still belongs to the episode that ended"
-    observation, reward, terminated, truncated, _ = env.step(np.zeros((2, 18), np.float32))
-    assert env._batch.specs[0].seed == kind_seed(env.recipe, "constant", 2), "its number plus those of worlds"
-    assert (reward[0], terminated[0], truncated[0]) == (0.0, False, False)
-    np.testing.assert_allclose(observation["agent_pos"][0, :3], 0.0, atol=1e-6)
-
-
 def end_and_beginning(mode: str) -> tuple[dict, dict, dict]:
     """Let a hand wait; return the last observation and metrics of its first episode, and the first of its next."""
     env = DynahoiVectorEnv(2, kind="constant", autoreset_mode=mode, environment_state="truth", **SMALL)
@@ -122,11 +105,14 @@ def end_and_beginning(mode: str) -> tuple[dict, dict, dict]:
         assert info["_final_obs"][0]
         info, last, after = info["final_info"], info["final_obs"][0], observation
     elif mode == AutoresetMode.NEXT_STEP.value:
-        last, after = of_world(observation, 0), env.step(hold)[0]
+        last = of_world(observation, 0)
+        after, reward, terminated, truncated, _ = env.step(hold)
+        assert (reward[0], terminated[0], truncated[0]) == (0.0, False, False)
     else:
         last = of_world(observation, 0)
         assert not env.step(hold)[0]["pixels"]["ego"][0].any()
         after, _ = env.reset(options={"reset_mask": np.array([True, False])})
+    assert env._batch.specs[0].seed == kind_seed(env.recipe, "constant", 2), "its number plus those of worlds"
     return last, {name: info[name][0] for name in METRICS.names()}, of_world(after, 0)
 
 
@@ -135,6 +121,7 @@ def of_world(batched: dict, i: int) -> dict:
 
 
 def test_an_autoreset_mode_changes_when_episodes_begin_and_nothing_else() -> None:
+    assert DynahoiVectorEnv(1, **BLIND).metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP, "by default"
     wanted, *others = (end_and_beginning(mode.value) for mode in AutoresetMode)
     for found in others:
         np.testing.assert_equal(found, wanted)
@@ -156,13 +143,13 @@ def test_gymnasiums_vector_wrappers_understand_every_autoreset_mode(mode: Autore
 
 
 def test_what_is_no_autoreset_mode_or_mask_is_refused() -> None:
-    with pytest.raises(ValueError, match="unknown autoreset mode 'Never'; known: NextStep, SameStep, Disabled"):
+    with pytest.raises(ValueError, match=r"'Never'.* NextStep, SameStep, Disabled"):
         DynahoiVectorEnv(1, autoreset_mode="Never", **BLIND)
     env = DynahoiVectorEnv(2, autoreset_mode=AutoresetMode.DISABLED, **BLIND)
-    with pytest.raises(ResetNeeded, match="call reset without reset_mask first"):
+    with pytest.raises(ResetNeeded):
         env.reset(options={"reset_mask": np.array([True, False])})
     for mask in (np.ones(3, bool), np.zeros(2, bool), np.ones(2)):
-        with pytest.raises(ValueError, match="reset_mask must be 2 bool, one of them True, got"):
+        with pytest.raises(ValueError, match="reset_mask"):
             env.reset(options={"reset_mask": mask})
 
 
@@ -194,18 +181,6 @@ def test_seeds_number_the_episodes_of_kind_and_split() -> None:
     expected = [Recipe(split="test").motion_names.index("lob") + 22 * (number % 5) for number in (4, 5, 6)]
     assert [spec.seed for spec in env._batch.specs if spec is not None] == expected
     assert [kind_seed(Recipe(split="test_small"), "lob", n) for n in (4, 5, 6)] == expected
-
-
-def test_env_and_rollout_play_the_same_episode() -> None:
-    kept = []
-    env = DynahoiVectorEnv(1, on_episode=kept.append, **BLIND)
-    env.reset(seed=[7])
-    while not kept:
-        follow_expert(env, 1)
-    recipe = Recipe(split="test", **SMALL)
-    (episode,) = evaluate(WorldBatch(recipe, 1), Intercept(), [sample_spec(recipe, 7)])
-    np.testing.assert_allclose(kept[0].state, episode.state, atol=1e-6)  # the env's actions were rounded to float32
-    assert kept[0].stage == episode.stage == "captured"
 
 
 def test_bad_actions_are_refused_and_nothing_moves() -> None:
@@ -271,7 +246,7 @@ def test_a_copy_plays_what_the_original_plays(make: Callable, copied: Callable) 
     env.reset(seed=1)
     env.step(env.action_space.sample())
     twin = copied(env)
-    with pytest.raises(ResetNeeded, match="call reset first"):
+    with pytest.raises(ResetNeeded):
         twin.step(env.action_space.sample())
     action = env.reset(seed=5)[0]["agent_pos"]
     np.testing.assert_equal(env.reset(seed=5), twin.reset(seed=5))
@@ -292,7 +267,7 @@ def test_a_closed_env_says_so(make: Callable) -> None:
     env.close()
     env.close()
     for use in (env.reset, env.render, lambda: env.step(env.action_space.sample())):
-        with pytest.raises(ClosedEnvironmentError, match="this environment was closed; make a new one"):
+        with pytest.raises(ClosedEnvironmentError):
             use()
 
 

@@ -1,22 +1,19 @@
 """A checkpoint as an agent: its config is changed on request, and it remembers the frames it is shown."""
 
 import copy
-import hashlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from lerobot.configs import FeatureType, PolicyFeature
-from lerobot.policies.diffusion.configuration_diffusion import DiffusionConfig
 from lerobot.policies.diffusion.modeling_diffusion import DiffusionPolicy
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.agent import Observation
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError, note_frame, queued_frame
 from dynahoi_lerobot.evaluate.results import read_results
-from tests.checkpoints import FEATURES, SHIPPED
+from tests.checkpoints import SHIPPED, tiny_diffusion
 from tests.world.playing import world
 
 CHECKPOINT = str(SHIPPED)
@@ -28,13 +25,6 @@ def test_settings_change_the_config_and_nothing_else() -> None:
     assert (plain.n_action_steps, plain.noise_seed) == (1, 0)
     assert (changed.n_action_steps, changed.noise_seed) == (2, 3)
     assert {**changed.__dict__, "n_action_steps": 1, "noise_seed": 0} == plain.__dict__
-
-
-def test_results_say_which_weights_they_are_of(actor: Path, tmp_path: Path) -> None:
-    words = ["evaluate", "--policy", str(actor), "--split", "val", "--episodes", "1", "--out", str(tmp_path)]
-    assert main(words) == 0
-    digests = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in actor.glob("*.safetensors")}
-    assert read_results(tmp_path).info.extra["weights"] == digests
 
 
 @pytest.mark.parametrize("mode", ["async", "rtc"])
@@ -69,32 +59,15 @@ def test_guidance_continues_what_is_left_of_a_chunk_or_where_it_led(specs, monke
     assert left == [len(chunk) - 2, 1]
 
 
-@pytest.mark.parametrize(
-    ("setting", "sentence"),
-    [
-        ("delay=3", "cannot set 'delay=3': must be KEY=VALUE, KEY one of .*noise_seed"),
-        ("noise_seed", "cannot set 'noise_seed': must be KEY=VALUE"),
-        ("n_action_steps=9", "cannot set n_action_steps=9: n_action_steps is 9, but must be 1 to 8"),
-        ("noise_seed=few", "cannot set noise_seed=few: .*'few'"),
-    ],
-)
-def test_what_cannot_be_set_is_said(setting: str, sentence: str) -> None:
-    with pytest.raises(PolicyError, match=sentence):
+@pytest.mark.parametrize("setting", ["delay=3", "noise_seed", "n_action_steps=9", "noise_seed=few"])
+def test_what_cannot_be_set_is_named(setting: str) -> None:
+    with pytest.raises(PolicyError, match=f"cannot set '?{setting}"):
         PolicyAgent(CHECKPOINT, settings=[setting])
 
 
-@pytest.fixture(scope="module")
-def diffusion():
-    small = {"down_dims": (16, 32), "n_groups": 4, "pretrained_backbone_weights": None, "crop_ratio": 1.0}
-    small |= {"n_obs_steps": 2, "horizon": 8, "n_action_steps": 4}
-    small |= {"noise_scheduler_type": "DDIM", "num_inference_steps": 2}
-    image = {"observation.images.ego": PolicyFeature(FeatureType.VISUAL, (3, 64, 64))}
-    inputs = {"input_features": FEATURES["input_features"] | image}
-    return DiffusionPolicy(DiffusionConfig(**small, **FEATURES | inputs)).eval()
-
-
-def test_diffusion_policy_plans_from_the_noted_frames(diffusion):
-    shapes = {"observation.images.ego": (2, 3, 64, 64), "observation.state": (2, 18)}
+def test_diffusion_policy_plans_from_the_noted_frames(tmp_path: Path) -> None:
+    diffusion = DiffusionPolicy.from_pretrained(tiny_diffusion(tmp_path / "policy"))
+    shapes = {"observation.environment_state": (2, 13), "observation.state": (2, 18)}
     no_action = {"action": None}  # LeRobot's preprocessor leaves this key in every batch
     frames = [{key: torch.rand(shape) for key, shape in shapes.items()} | no_action for _ in range(3)]
     noise = torch.randn(2, 8, 18)
@@ -105,7 +78,7 @@ def test_diffusion_policy_plans_from_the_noted_frames(diffusion):
         note_frame(asked_once, frame)
     chunk = asked_once.predict_action_chunk(queued_frame(asked_once, frames[-1]), noise=noise)
 
-    expected = asked_always.predict_action_chunk(dict(frames[-1]) | {"observation.images": None}, noise=noise)
+    expected = asked_always.predict_action_chunk(dict(frames[-1]), noise=noise)
     assert chunk.shape == (2, 4, 18)
     torch.testing.assert_close(chunk, expected)
     forgetful = copy.deepcopy(diffusion)

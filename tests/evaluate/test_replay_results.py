@@ -78,14 +78,13 @@ FORGERIES: list[tuple[Callable[[Path], None], str]] = [
     (better_sum, " over the episodes"),
     (better_row, "seed {0}: E_loc is "),
     (moved(row=1, last=20, offset_m=0.01), "seed {1}: "),
-    (moved(row=2, last=1, offset_m=1.0), "seed {2}: the command of frame "),
+    (moved(row=2, last=1, offset_m=1.0), "seed {2}: "),
     (easy_seed_twice, "seed {0} is there 2 times"),
-    (more_attempts, "seed {0} took 3 attempts; a policy has one"),
+    (more_attempts, "seed {0} took 3 attempts"),
     (longer_logs, "an evaluation with them"),
-    (another_version, "are of version v9 of the benchmark, here is v"),
-    (set_head(fingerprint="0123456789abcdef"), "or another recipe (0123456789abcdef, here is "),
-    (set_head(split="val"), "names split val and capture rule attach, but its recipe plays"),
-    (set_head(split="test_small+12345678"), "but its recipe plays test_small\n"),
+    (another_version, "are of version v9"),
+    (set_head(fingerprint="0123456789abcdef"), "0123456789abcdef"),
+    (set_head(split="val"), "names split val"),
 ]
 """What is done to a result, and what is found; ``{i}`` stands for the seed of row i."""
 
@@ -98,25 +97,21 @@ def honest(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_an_honest_result_replays(honest: Path, capsys: pytest.CaptureFixture[str]):
+def test_an_honest_result_replays_and_its_digests_are_told(honest: Path, capsys: pytest.CaptureFixture[str]):
     assert main(["evaluate", "--replay", str(honest)]) == 0
     said = capsys.readouterr().out
-    assert "3 episodes drawn" in said
     for name in ("metrics.json", "episodes.parquet", "actions.npz"):
         assert hashlib.sha256((honest / name).read_bytes()).hexdigest() in said
-    assert said.count("not the benchmark's") == 1
-    assert "not the benchmark's privileged: True" in said
+    assert said.count("not the benchmark's") == said.count("not the benchmark's privileged: True") == 1
 
 
 def test_a_drawn_sample_can_be_drawn_again(honest: Path, capsys: pytest.CaptureFixture[str]):
     assert main(["evaluate", "--replay", str(honest), "--episodes", "1"]) == 0
-    (seed,) = re.findall(r"--replay-seed (\d+)", capsys.readouterr().out)
+    (seed,) = re.findall(r"--replay-seed (\d+)", first := capsys.readouterr().out)
     assert main(["evaluate", "--replay", str(honest), "--episodes", "1", "--replay-seed", seed]) == 0
-    assert f"1 episodes drawn with --replay-seed {seed}" in capsys.readouterr().out
-    assert drawn(10, None, 0) == list(range(10))
-    assert drawn(2, 5, 0) == [0, 1]
+    assert capsys.readouterr().out == first
     assert len(set(drawn(1000, 44, 0))) == 44
-    assert drawn(1000, 44, 0) == drawn(1000, 44, 0) != drawn(1000, 44, 1)
+    assert drawn(1000, 44, 0) != drawn(1000, 44, 1)
 
 
 def test_easier_rules_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -36,53 +36,26 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "run"
 
 
-def test_metrics_json_is_the_documented_table(folder: Path):
+def test_the_files_are_as_documented(folder: Path):
     head = json.loads((folder / "metrics.json").read_text())
-    assert {key: head[key] for key in RUN} == RUN
-    assert head["benchmark"] == BENCHMARK.version
-    assert head["n"] == 6
-    assert head["extra"] == {"n_obs_frames": 5}
+    assert head.items() >= {**RUN, "benchmark": BENCHMARK.version, "n": 6, "extra": {"n_obs_frames": 5}}.items()
     assert set(head["metrics"]) == set(METRICS.names())
     low, high = wilson(4, 6)
     expected = {"value": pytest.approx(4 / 6), "low": low, "high": high, "unit": "fraction", "n": 6}
     assert head["metrics"]["S_loc"] == expected
     assert head["metrics"]["S_gra"]["n"] == 4
     assert head["metrics"]["S_hold"] == {"value": None, "low": None, "high": None, "unit": "fraction", "n": 0}
-    assert set(head["per_kind"]) == {"constant", "lob"}
-    assert head["per_kind"]["lob"]["S_loc"]["n"] == 3
-    assert head["per_kind"]["lob"]["S_loc"]["value"] == pytest.approx(2 / 3)
-
-
-def test_the_other_files_have_a_row_and_the_actions_of_every_episode(folder: Path):
+    assert {kind: metrics["S_loc"]["n"] for kind, metrics in head["per_kind"].items()} == {"constant": 3, "lob": 3}
+    found = read_results(folder)
+    assert (found.info, found.head) == (INFO, head)
     table = pq.read_table(folder / "episodes.parquet")
-    assert table.num_rows == 6
     assert {"seed", "kind", "object", "stage", *METRICS.names()} <= set(table.column_names)
-    assert table["S_hold"].null_count == 6
     assert table["stage"].to_pylist() == ["missed", "captured", "captured"] * 2
     with np.load(folder / "actions.npz") as archive:
-        offsets, action = archive["offsets"], archive["action"]
         assert archive["seed"].tolist() == list(range(6))
-        assert archive["window_frames"].tolist() == [8, 8, 8, 8, 8, 9]
-    for index, episode in enumerate(episodes()):
-        np.testing.assert_array_equal(action[offsets[index] : offsets[index + 1]], episode.action)
-
-
-def test_reading_gives_back_what_was_written(folder: Path):
-    expected = write_results(folder.parent / "again", episodes(), INFO)
-    found = read_results(folder)
-    assert found.info == expected.info
-    assert found.rows == expected.rows
-    assert found.summary == expected.summary
-    for mine, theirs in zip(found.actions, expected.actions, strict=True):
-        np.testing.assert_array_equal(mine, theirs)
-    for name in ("metrics.json", "episodes.parquet"):
-        assert (folder / name).read_bytes() == (folder.parent / "again" / name).read_bytes()
-
-
-def test_any_recipe_can_be_shown(folder: Path):
-    for noise, shown in ((2, "2"), (2.5, "2.5"), ({"a": 1}, "{'a': 1}"), (None, "None")):
-        set_head(extra={"recipe": {"render_noise": noise}})(folder)
-        assert read_results(folder).rules["render_noise"] == shown
+        logs = np.split(archive["action"], archive["offsets"][1:-1])
+    for log, episode in zip(logs, episodes(), strict=True):
+        np.testing.assert_array_equal(log, episode.action)
 
 
 def save(folder: Path, count: int) -> None:
@@ -112,20 +85,6 @@ def test_files_of_two_runs_are_told_apart(folder: Path):
     shutil.copy(folder.parent / "short" / "actions.npz", folder / "actions.npz")
     with pytest.raises(ReadError, match=r"metrics.json 6, episodes.parquet 6, actions.npz 2"):
         read_results(folder)
-
-
-def test_a_failed_write_leaves_the_earlier_results_alone(folder: Path, monkeypatch: pytest.MonkeyPatch):
-    before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    with pytest.raises(TypeError):
-        write_results(folder, episodes(3), RunInfo(**RUN, extra={"not": object()}))
-    with pytest.raises(ValueError, match="Out of range float"):
-        write_results(folder, episodes(3), RunInfo(**RUN, extra={"lr": float("nan")}))
-    with pytest.raises(ValueError, match="at least one"):
-        write_results(folder, [], INFO)
-    monkeypatch.setattr(np, "savez", lambda *_, **__: (_ for _ in ()).throw(OSError("disk full")))
-    with pytest.raises(OSError, match="disk full"):
-        write_results(folder, episodes(3), RunInfo(**RUN))
-    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
 
 def test_a_command_line_is_kept_printable(monkeypatch: pytest.MonkeyPatch):
@@ -158,11 +117,15 @@ def set_action(name: str, edit: Callable[[np.ndarray], np.ndarray]) -> Callable[
     return change
 
 
+def repeat(folder: Path) -> None:
+    path = folder / "episodes.parquet"
+    pq.write_table(pa.concat_tables([pq.read_table(path)] * 2000), path)
+
+
 DAMAGE: list[tuple[Callable[[Path], None], str]] = [
-    (lambda folder: (folder / "metrics.json").write_text("[]"), "metrics.json cannot be read"),
     (set_head(n=0), "disagree"),
+    (repeat, "it has 12000 episodes; no split has more than 10000"),
     (set_head(n="4"), "n must be of type int, got '4'"),
-    (set_head(policy=None), "policy must be of type str, got None"),
     (set_head(benchmark="v0"), f"episodes of benchmark 'v0' and '{BENCHMARK.version}'"),
     (set_column("surplus", [0] * 6), "its column surplus"),
     (set_column("S_loc", ["a"] * 6), "its column S_loc"),
@@ -170,15 +133,10 @@ DAMAGE: list[tuple[Callable[[Path], None], str]] = [
     (set_action("seed", lambda old: old + 1), "its seeds are not those of"),
     (set_column("window_frames", [40] * 6), "seed 0 has 40 commands, and window_frames is 40"),
     (set_column("first_localized", [None, 40, 40, 43, None, 40]), "seed 3 has 43 commands, and first_localized is 43"),
-    (set_column("first_localized", [None, 40, 40, 40, None, -1]), "it says first_localized of an episode is -1"),
     (set_column("length_frames", [2**62] * 6), "it says length_frames of an episode is 4611686018427387904"),
     (set_column("E_loc", [1e308] * 6), "it says E_loc of an episode is 1e+308"),
-    (set_column("Q_line", [2.0] * 6), "it says Q_line of an episode is 2.0"),
-    (set_column("travel_u", [-1.0] * 6), "it says travel_u of an episode is -1.0"),
     (set_action("action", lambda old: old * np.nan), "its actions must be of shape (N, 18), up to 1099511627776"),
-    (set_action("action", lambda old: old.astype(float) + 1e300), "up to 1e+300"),
     (set_action("action", lambda old: old[:, :17]), "they are of shape (255, 17)"),
-    (set_action("action", lambda old: old.astype(object)), "actions.npz cannot be read"),
     (set_action("offsets", lambda old: old[::-1]), "its offsets"),
 ]
 
@@ -190,15 +148,3 @@ def test_damage_is_one_sentence(damage: Callable[[Path], None], sentence: str, f
         read_results(folder)
     assert sentence in str(refused.value)
     assert str(refused.value).isprintable()
-
-
-def test_a_missing_or_cut_file_is_named(folder: Path) -> None:
-    for name in ("metrics.json", "episodes.parquet", "actions.npz"):
-        whole = (folder / name).read_bytes()
-        (folder / name).write_bytes(whole[: len(whole) // 2])
-        with pytest.raises(ReadError, match=rf"{name} cannot be read"):
-            read_results(folder)
-        (folder / name).unlink()
-        with pytest.raises(ReadError, match=rf"{name} is missing"):
-            read_results(folder)
-        (folder / name).write_bytes(whole)

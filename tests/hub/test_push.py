@@ -95,7 +95,7 @@ def refused(answer: tuple[int, str, str], sentence: str, wanted: int = 1, *, in_
 def test_every_file_arrives_both_tags_are_set_and_pushing_again_changes_nothing(simulated: Path, hub: Hub, push: Push):
     code, out, err = push(simulated, "me/catching", "--private")
     assert code == 0, err
-    assert f"dataset pushed to {hub.url}/{DATASET}, tagged v3.0, dynahoi-{BENCHMARK.version}" in out
+    assert f"{hub.url}/{DATASET}" in out
     repo = hub.repos[DATASET]
     assert repo.private
     assert {name: len(content) for name, content in repo.files.items()} == {
@@ -107,14 +107,6 @@ def test_every_file_arrives_both_tags_are_set_and_pushing_again_changes_nothing(
     assert push(simulated, "me/catching", "--private")[0] == 0
     assert list(repo.commits) == commits
     assert not [line for line in hub.requests if line.startswith("PUT")]
-
-
-def test_another_dataset_of_the_same_files_is_not_overwritten(simulated: Path, tmp_path: Path, hub: Hub, push: Push):
-    push(simulated, "me/catching")
-    before = dict(hub.repos[DATASET].commits)
-    root = generated(tmp_path / "other", "--image-size", "32", "--seed", "9")
-    refused(push(root, "me/catching"), "me/catching holds another dataset")
-    assert hub.repos[DATASET].commits == before
 
 
 def test_an_interrupted_upload_goes_on(simulated: Path, hub: Hub, push: Push):
@@ -130,19 +122,18 @@ def test_an_interrupted_upload_goes_on(simulated: Path, hub: Hub, push: Push):
     assert not sent & before
 
 
-def test_a_damaged_dataset_is_refused(simulated: Path, tmp_path: Path, hub: Hub, push: Push):
+def test_datasets_that_are_damaged_or_would_overwrite_something_else_are_refused(simulated, tmp_path, hub, push):
     broken = shutil.copytree(simulated, tmp_path / "broken")
     (broken / "meta/tasks.parquet").unlink()
     refused(push(broken, "me/catching"), "tasks.parquet is missing", in_one_line=False)
     assert hub.repos == {}
-
-
-def test_a_public_repository_and_one_of_something_else_are_left_alone(simulated: Path, hub: Hub, push: Push):
     push(simulated, "me/catching")
-    refused(push(simulated, "me/catching", "--private"), "me/catching exists and is public")
-    hub.repos[DATASET].commits["f" * 40] = {"thesis.pdf": b"years of work"}
-    refused(push(simulated, "me/catching"), "me/catching holds other content (thesis.pdf); choose another name")
-    assert hub.repos[DATASET].files == {"thesis.pdf": b"years of work"}
+    repo = hub.repos[DATASET]
+    refused(push(simulated, "me/catching", "--private"), "is public")
+    for sha, held in (("a", repo.files | {"meta/manifest.json": b"{}"}), ("b", {"thesis.pdf": b"years of work"})):
+        repo.commits[sha * 40] = held
+        refused(push(simulated, "me/catching"), "me/catching holds")
+        assert repo.files == held
 
 
 # -- what any push needs ----------------------------------------------------------------------------------------------
@@ -153,7 +144,7 @@ def test_a_public_repository_and_one_of_something_else_are_left_alone(simulated:
     [
         ("me/catching", "hf_" + "wrong" * 6, "rejected the token"),
         ("me/catching", "", "no Hub token"),
-        ("you/catching", TOKEN, "you/catching: the token has no write access"),
+        ("you/catching", TOKEN, "you/catching"),
     ],
 )
 def test_tokens_that_will_not_do(repo, token, said, *, checkpoint, hub, push, monkeypatch):
@@ -164,17 +155,16 @@ def test_tokens_that_will_not_do(repo, token, said, *, checkpoint, hub, push, mo
 
 def test_no_network(checkpoint: Path, push: Push, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(constants, "ENDPOINT", "http://127.0.0.1:9")
-    refused(push(checkpoint, "me/policy"), "cannot reach http://127.0.0.1:9 (ConnectError); nothing is lost")
+    refused(push(checkpoint, "me/policy"), "http://127.0.0.1:9")
 
 
 def test_names_folders_and_options_that_do_not_fit(checkpoint: Path, tmp_path: Path, hub: Hub, push: Push):
     for name in ("catching", "a/b/c", "me/a b", ""):
-        refused(push(checkpoint, name), f"the repository is {name!r}; it must be USER/NAME", 2)
+        refused(push(checkpoint, name), repr(name), 2)
     assert hub.requests == []
     (tmp_path / "empty").mkdir()
-    refused(push(tmp_path / "empty", "me/catching"), "holds none of these: dataset (meta/info.json), results", 2)
-    answer = push(checkpoint, "me/policy", "--policy", "me/x")
-    refused(answer, f"--policy is for a push of results; {checkpoint} holds this: checkpoint", 2)
+    refused(push(tmp_path / "empty", "me/catching"), "holds none of these", 2)
+    refused(push(checkpoint, "me/policy", "--policy", "me/x"), "--policy", 2)
     (checkpoint / "optimizer.pt").write_bytes(b"pickle")
     refused(push(checkpoint, "me/policy"), "optimizer.pt is a pickle", 2)
     assert hub.repos == {}
@@ -184,32 +174,23 @@ def test_names_folders_and_options_that_do_not_fit(checkpoint: Path, tmp_path: P
 
 
 @pytest.mark.parametrize(
-    ("config", "mode", "needed"),
-    [
-        ({"type": "obact"}, "joints", " ./policies/lerobot_policy_obact"),
-        ({"type": "act", "output_features": {"action": {"shape": [4]}}}, "grasp", ""),
-    ],
+    ("config", "mode"),
+    [({"type": "obact"}, "joints"), ({"type": "act", "output_features": {"action": {"shape": [4]}}}, "grasp")],
 )
-def test_a_checkpoint_without_a_card_gets_one(config, mode, needed, *, checkpoint, hub, push):
+def test_a_checkpoint_without_a_card_gets_one_and_a_card_that_is_there_stays(config, mode, *, checkpoint, hub, push):
     (checkpoint / "config.json").write_text(json.dumps(config))
     before = sorted(path.name for path in checkpoint.iterdir())
-    code, _, err = push(checkpoint, "me/policy")
-    assert code == 0, err
+    assert push(checkpoint, "me/policy")[0] == 0
     assert sorted(path.name for path in checkpoint.iterdir()) == before
     files = hub.repos[MODEL].files
     assert set(files) == {"README.md", "config.json", "model.safetensors", "train_config.json"}
     _, head, body = files["README.md"].decode().split("---\n", 2)
     metadata = yaml.safe_load(head)
-    assert metadata["library_name"] == "lerobot"
-    assert metadata["datasets"] == ["me/catching"]
+    assert (metadata["library_name"], metadata["datasets"]) == ("lerobot", ["me/catching"])
     assert "dynahoi evaluate --policy me/policy" in body
     assert f"control_mode `{mode}`" in body
-    assert f'pip install ".[lerobot]" ./envs/lerobot_env_dynahoi{needed} ' in body
-
-
-def test_a_card_that_is_there_stays(checkpoint: Path, hub: Hub, push: Push):
-    push(checkpoint, "me/policy")
-    hub.repos[MODEL].files["README.md"] = b"edited on the Hub"
+    assert ("lerobot_policy_obact" in body) == (config["type"] == "obact"), "what it needs"
+    files["README.md"] = b"edited on the Hub"
     push(checkpoint, "me/policy")
     assert hub.repos[MODEL].files["README.md"] == b"edited on the Hub"
     (checkpoint / "README.md").write_text("mine")
@@ -300,17 +281,16 @@ def test_results_under_other_rules_or_of_fewer_episodes_have_other_names(checkpo
 def test_results_of_another_policy_are_refused_unless_said_to_be_of_this_one(policy, checkpoint, tmp_path, hub, push):
     push(checkpoint, "me/policy")
     results = write_split(tmp_path / "results", "ood_speed", range(2), policy=policy)
-    refused(push(results, "me/policy"), f"{results} is of {policy}, and nothing shows that this repository holds it")
+    for said in ([], ["--policy", "you/third"]):
+        refused(push(results, "me/policy", *said), f"{results} is of {policy}")
     assert names(hub) == set()
-    refused(push(results, "me/policy", "--policy", "you/third"), f"{results} is of {policy}, not of you/third")
     assert push(results, "me/policy", "--policy", policy)[0] == 0
 
 
 def test_results_go_to_the_repository_with_the_weights_that_they_name(checkpoint, tmp_path, hub, push):
     push(checkpoint, "me/policy")
     digest = hashlib.sha256((checkpoint / "model.safetensors").read_bytes()).hexdigest()
-    played = ((str(checkpoint), "0a" * 32, 1), ("me/policy", "0a" * 32, 1), (str(checkpoint), digest, 0))
-    for number, (policy, weights, code) in enumerate(played):
+    for number, (policy, weights, code) in enumerate(((str(checkpoint), digest, 0), ("me/policy", "0a" * 32, 1))):
         named = {"weights": {"model.safetensors": weights}}
         results = write_split(tmp_path / str(number), "ood_speed", range(2), policy=policy, extra=named)
         assert push(results, "me/policy")[0] == code
@@ -326,7 +306,7 @@ def test_the_card_lists_the_results_once(checkpoint: Path, tmp_path: Path, hub: 
     _, head, body = hub.repos[MODEL].files["README.md"].decode().split("---\n", 2)
     (model,) = yaml.safe_load(head)["model-index"]
     (entry,) = model["results"]
-    assert body.startswith("\n> The results `") or body.startswith("> The results `")
+    assert body.count("> The results `") == 1
     assert entry["dataset"]["split"] == "test_small"
     assert {metric["type"] for metric in entry["metrics"]} == {"S_loc", "S_joint"}
 

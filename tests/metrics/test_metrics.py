@@ -224,13 +224,6 @@ def test_a_pause_adds_nothing_to_linearity_but_counts_as_a_step():
     assert METRICS["Q_smooth"](episode) == pytest.approx(1 / (1 + math.sqrt(1 / 2)))  # lengths 1, 0, 1
 
 
-def test_the_window_is_not_part_of_the_trajectory():
-    episode = hand_made([(0.125 * i, 0, 0) for i in range(6)])
-    episode.state[: WINDOW - 1, :3] = 7.0
-    assert METRICS["Q_smooth"](episode) == pytest.approx(1)
-    assert METRICS["Q_line"](episode) == pytest.approx(1)
-
-
 def test_legacy_quality_reads_18d_commands_in_units_and_radians():
     episode = hand_made([(0.0, 0, 0)] * 5)
     commands = [[0.0] * 18 for _ in range(5)]

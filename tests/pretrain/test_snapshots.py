@@ -19,24 +19,15 @@ RECIPE = Recipe(image_size=64)
 SPECS = sample_specs(RECIPE, range(8))
 
 
-def test_the_same_draws_give_the_same_images_and_others_do_not():
-    first, again, other = (
-        next(snapshots(WorldBatch(RECIPE, 4), SPECS, np.random.default_rng(seed))) for seed in (0, 0, 1)
-    )
-    np.testing.assert_array_equal(first.images, again.images)
-    np.testing.assert_array_equal(first.place, again.place)
-    assert (first.place != other.place).any()
-
-
 @pytest.mark.parametrize("camera", ["ego", "side"])
 def test_the_calibration_is_that_of_the_camera(tmp_path: Path, camera: str):
-    """A target that is posed where the calibration puts (u, v) is drawn around that point of the image."""
+    """A ball that is posed where the calibration puts (u, v) is drawn around that point of the image."""
     recipe = PretrainRecipe(tmp_path, camera, episodes=RECIPE, n_episodes=1)
     pose, (focal_px, _, centre_px, _) = calibration(recipe)
     eye = Pinhole.from_pose(pose.tolist(), centre_px / focal_px, carried=camera == "ego")
     wanted = torch.tensor([[0.0, 0.0, 0.0], [-0.6, 0.5, 0.2], [0.7, 0.4, -0.4], [-0.3, 0.8, 0.5]])
     batch = WorldBatch(RECIPE, len(wanted), threads=1)
-    batch.reset(np.arange(len(wanted)), SPECS[: len(wanted)])
+    batch.reset(np.arange(len(wanted)), sample_specs(replace(RECIPE, objects=("ball",)), range(len(wanted))))
     state = batch.state + np.eye(18)[2] * 0.05
     place = eye.origin(torch.from_numpy(state[:, :3])) + eye.place(wanted)
     pose = np.concatenate([place, np.tile((1.0, 0.0, 0.0, 0.0), (len(wanted), 1))], axis=1)
@@ -45,7 +36,7 @@ def test_the_calibration_is_that_of_the_camera(tmp_path: Path, camera: str):
     target = np.isin(seen, batch.scene.target_geoms)  # (N, H, W)
     for mask, (u, v, _) in zip(target, wanted.tolist(), strict=True):
         row, column = (2 * (np.argwhere(mask).mean(axis=0) + 0.5) / 64 - 1).tolist()
-        assert (column, -row) == pytest.approx((u, v), abs=0.08)
+        assert (column, -row) == pytest.approx((u, v), abs=0.02), "to two thirds of a pixel"
 
 
 def test_the_target_is_where_they_say_fingers_move_and_some_images_come_twice(monkeypatch: pytest.MonkeyPatch):

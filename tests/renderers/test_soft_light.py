@@ -10,7 +10,6 @@ import warp as wp
 
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.renderers.raycast import shapes
-from dynahoi_lerobot.renderers.raycast.textures import level_sides, shrink
 from tests.world.playing import wait, world
 
 TYPES = {
@@ -117,21 +116,12 @@ def test_images_are_near_what_many_samples_would_show(specs: list[EpisodeSpec]) 
     error = {}
     for renderer in ("tiles", "flat"):
         small, large = (
-            world(specs[:22], image_size=size, renderer=renderer).cameras.render().astype(float)
+            world(specs[:22:3], image_size=size, renderer=renderer).cameras.render().astype(float)
             for size in (SIZE, 4 * SIZE)
         )
-        mean = large.reshape(22, SIZE, 4, SIZE, 4, 3).mean(axis=(2, 4))
+        mean = large.reshape(-1, SIZE, 4, SIZE, 4, 3).mean(axis=(2, 4))
         error[renderer] = float(np.sqrt(((small - mean) ** 2).mean()))
     assert error["tiles"] < 0.67 * error["flat"]
-
-
-def test_less_sharp_textures_keep_their_brightness() -> None:
-    texture = np.random.default_rng(0).random((3, 64, 64)).astype(np.float32)
-    assert level_sides(64) == [64, 45, 32, 23, 16, 11, 8, 6, 4]
-    np.testing.assert_array_equal(shrink(texture, 64), np.round(texture.astype(float) * 4096) / 4096)
-    for side in level_sides(64):
-        np.testing.assert_allclose(shrink(texture, side).mean(axis=(1, 2)), texture.mean(axis=(1, 2)), atol=1e-3)
-    np.testing.assert_allclose(shrink(texture, 32)[0, 0, 0], texture[0, :2, :2].mean(), atol=1e-3)
 
 
 def test_a_target_without_opacity_casts_no_shadow(specs: list[EpisodeSpec]) -> None:

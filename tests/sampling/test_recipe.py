@@ -7,13 +7,10 @@ from pathlib import Path
 import pytest
 
 import dynahoi_lerobot
-from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.objects import OBJECTS
-from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.sampling.fingerprint import deciding_sources, extension_fingerprint, hash_sources
 from dynahoi_lerobot.sampling.recipe import Recipe, load_recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
-from dynahoi_lerobot.world.batch import WorldBatch
 from tests.test_imports import ROOMS, imports
 
 BAD_VALUES = [
@@ -64,17 +61,6 @@ def test_a_bad_value_is_named_in_one_sentence(values: dict):
     with pytest.raises(ValueError, match=re.escape(str(value[-1] if isinstance(value, tuple) else value))) as error:
         Recipe(**values)
     assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize("name", ["hand", "renderer"])
-def test_a_batch_refuses_names_it_does_not_know(name: str):
-    with pytest.raises(ValueError, match=f"unknown {name} 'x'"):
-        WorldBatch(Recipe(**{name: "x"}), 1)
-
-
-def test_an_unknown_expert_is_refused_before_anything_is_sampled():
-    with pytest.raises(ValueError, match=f"unknown expert 'x'; known: {', '.join(EXPERTS.names())}"):
-        next(record(Recipe(expert="x"), range(10**6)))
 
 
 def test_a_motion_without_a_fitting_object_is_refused():

@@ -78,6 +78,7 @@ def test_the_screen_is_clear_of_palm_target_fixtures_and_floor(occluded: list[Ep
         assert box_distance(way, panel).min() > 0.025, spec.motion.name
         assert box_distance(spec.target_path_w, panel).min() > spec.target.grasp_radius_m, spec.motion.name
         assert screen.pos_w[2] > screen.half_size[2]
+        assert all(apart(panel, box, 0.0) for box in spec.motion.launch(spec.target).boxes), spec.motion.name
 
 
 def test_the_screen_is_drawn_and_only_under_this_protocol(specs: list[EpisodeSpec], occluded: list[EpisodeSpec]):

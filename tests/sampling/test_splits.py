@@ -61,12 +61,6 @@ def test_only_its_own_split_contains_what_is_held_out(split: str):
         assert len(split_seeds(split)) >= 10 * len(recipe.motion_names), "an evaluation has enough of every kind"
 
 
-def test_ood_motion_has_only_held_out_kinds_and_ood_object_only_held_out_objects():
-    assert {s.motion.name for s in sample_specs(Recipe(split="ood_motion"), range(6))} == HELD_OUT_MOTIONS
-    objects = sample_specs(Recipe(split="ood_object"), range(len(Recipe(split="ood_object").motion_names)))
-    assert {s.target.name for s in objects} == HELD_OUT_OBJECTS
-
-
 SALT, OTHER = "correct horse battery staple", "correct horse battery stable"
 
 
@@ -94,43 +88,36 @@ def test_another_salt_is_another_episode_and_the_same_salt_the_same():
     assert len({public.split, salted.split, other.split}) == 3
 
 
-def test_no_file_of_a_result_holds_the_salt(runs: dict[str, Path]):
-    files = [path for folder in runs.values() for path in folder.rglob("*") if path.is_file()]
-    assert len(files) >= 12
-    for path in files:
-        assert SALT.encode() not in path.read_bytes()
-    head = json.loads((runs["salted"] / "metrics.json").read_text())
-    assert head["extra"]["recipe"]["salt"] == seal(SALT)
-    assert "(hidden)" in head["command"]
-
-
-def test_no_file_of_a_dataset_holds_the_salt(tmp_path: Path):
+def test_no_file_of_a_result_or_a_dataset_holds_the_salt(runs: dict[str, Path], tmp_path: Path):
     root = generated(tmp_path / "dataset", "--image-size", "0", "--salt", SALT)
     assert main(["verify", str(root)]) == 0
-    for path in (path for path in root.rglob("*") if path.is_file()):
-        assert SALT.encode() not in path.read_bytes()
-    assert json.loads((root / MANIFEST_PATH).read_text())["provenance"]["recipe"]["salt"] == seal(SALT)
+    files = [path for folder in (root, *runs.values()) for path in folder.rglob("*") if path.is_file()]
+    assert not [path for path in files if SALT.encode() in path.read_bytes()]
+    head = json.loads((runs["salted"] / "metrics.json").read_text())
+    assert "(hidden)" in head["command"]
+    provenance = json.loads((root / MANIFEST_PATH).read_text())["provenance"]
+    assert head["extra"]["recipe"]["salt"] == provenance["recipe"]["salt"] == seal(SALT)
 
 
 def test_a_hash_makes_no_episode():
     """Also not by being taken for a salt."""
-    with pytest.raises(ValueError, match=r"of the salted stream sha256:\w{16}; only those who know its salt"):
+    with pytest.raises(ValueError, match="salt"):
         sample_spec(replace(SMALL, salt=seal(SALT)), 0)
 
 
 def test_results_of_one_salt_are_compared_and_others_are_refused_by_name(runs: dict[str, Path]):
     assert len(read_entries([runs["salted"], runs["again"]])) == 2
     for name in ("public", "other"):
-        with pytest.raises(ValueError, match=rf"salted has salt '\w{{8}}', .*{name} has salt .*; evaluate both"):
+        with pytest.raises(ValueError, match=f"salted has salt .*{name} has salt"):
             read_entries([runs["salted"], runs[name]])
     results = {name: read_results(folder) for name, folder in runs.items()}
     assert compare(results["salted"], results["again"], "S_loc").n == 3
-    with pytest.raises(ValueError, match=r"salted has salt '\w{8}', .*public has salt 'none'; evaluate both"):
+    with pytest.raises(ValueError, match=r"salted has salt .*public has salt"):
         compare(results["salted"], results["public"], "S_loc")
 
 
 def test_a_salt_that_can_be_guessed_is_refused_and_not_repeated():
-    with pytest.raises(ValueError, match="at least 16 characters, or be empty, got 5") as refused:
+    with pytest.raises(ValueError, match="at least 16 characters") as refused:
         Recipe(salt="hush!")
     assert "hush!" not in str(refused.value)
 
@@ -173,19 +160,14 @@ def test_every_kind_whose_path_is_prescribed_has_twins():
     assert BENCHMARK.splits["twins"].size % N_KINDS == 0
 
 
-def test_nothing_but_the_speed_differs(pairs: list[tuple[EpisodeSpec, EpisodeSpec]]):
+def test_nothing_but_the_speed_differs_on_a_path_that_leads_to_the_intercept_in_the_same_frame(pairs):
     for slow, fast in pairs:
         for field in fields(EpisodeSpec):
             if field.name not in DIFFERENT:
                 np.testing.assert_equal(getattr(slow, field.name), getattr(fast, field.name), field.name)
         assert (slow.motion.name, slow.motion.phrase) == (fast.motion.name, fast.motion.phrase)
-        assert slow.motion.motion == fast.motion.motion
-
-
-def test_the_target_is_on_the_same_path_faster_and_at_the_intercept_in_the_same_frame(pairs):
-    for slow, fast in pairs:
-        meeting_s = slow.intercept_frame * CONTROL_DT
         later_s = np.linspace(-0.3, 0.3, 7)
+        meeting_s = slow.intercept_frame * CONTROL_DT
         np.testing.assert_allclose(
             fast.motion.position(meeting_s + later_s), slow.motion.position(meeting_s + 1.6 * later_s), atol=1e-9
         )

@@ -1,16 +1,19 @@
-import shutil
+"""``dynahoi filter`` copies all episodes but outliers and those it is told to leave out."""
+
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from dynahoi_lerobot.cli.main import main
-from dynahoi_lerobot.dataset import frame_column, open_dataset, write_episodes
+from dynahoi_lerobot.dataset import open_dataset, write_episodes
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.verify.command import verify
 from dynahoi_lerobot.verify.filter import find_outliers
-from tests.dataset.episodes import changed, varied_episode
+from tests.dataset.episodes import changed, varied_episode, write
 
 SENTENCE = "episode 7: action.thumb_tip.pos reaches 2.200, outside -0.500 to 1.500 in 1 frame"
 
@@ -35,38 +38,22 @@ def test_outliers_are_named(with_outlier):
     assert find_outliers(with_outlier, margin=0.5, column="observation.state") == {}
 
 
-def write_with_nan(root: Path, episodes: int) -> Path:
-    """Episodes of which the second has one command that is not a number."""
-    first, second, *others = (varied_episode(seed, None) for seed in range(episodes))
-    write_episodes(root, [first, changed("action", (4, 2), np.nan)(second), *others])
-    return root
-
-
-def test_nan_is_an_outlier(tmp_path):
-    ((episode, sentence),) = find_outliers(write_with_nan(tmp_path / "d", episodes=6)).items()
+def test_nan_is_an_outlier_but_a_column_that_is_often_nan_has_no_range(tmp_path, capsys):
+    first, second, *others = (varied_episode(seed, None) for seed in range(6))
+    second = changed("action", (4, 2), np.nan)(second)
+    write_episodes(tmp_path / "many", [first, second, *others])
+    ((episode, sentence),) = find_outliers(tmp_path / "many").items()
     assert episode == 1
     assert "action.palm_z.pos reaches nan" in sentence
-
-
-def test_a_column_without_a_robust_range_is_refused(tmp_path, capsys):
-    assert run(write_with_nan(tmp_path / "d", episodes=2), "--dry-run") == 2
-    assert "action is often not finite, so it has no robust range" in capsys.readouterr().err
-
-
-def test_a_dataset_of_others_is_refused(with_outlier, tmp_path, capsys):
-    stock = shutil.copytree(with_outlier, tmp_path / "stock")
-    (stock / "meta/manifest.json").unlink()
-    assert run(stock, "--out", tmp_path / "new") == 2
-    assert "stock was not written by this project: meta/manifest.json is missing" in capsys.readouterr().err
-    assert not (tmp_path / "new").exists()
+    write_episodes(tmp_path / "few", [first, second])
+    assert run(tmp_path / "few", "--dry-run") == 2
+    assert "action is often not finite" in capsys.readouterr().err
 
 
 def test_all_others_are_copied_and_lerobot_reads_them(with_outlier, tmp_path, capsys):
     before = hash_files(with_outlier)
     assert run(with_outlier, "--out", tmp_path / "new", "--margin", 0.5) == 0
-    printed = capsys.readouterr().out
-    assert SENTENCE in printed
-    assert f"1 of 12 episodes left out; the others are in {tmp_path / 'new'}" in printed
+    assert SENTENCE in capsys.readouterr().out
     kept = [seed for seed in range(12) if seed != 7]
     opened = open_dataset(tmp_path / "new")
     assert opened.meta.episodes["seed"] == kept
@@ -79,16 +66,44 @@ def test_all_others_are_copied_and_lerobot_reads_them(with_outlier, tmp_path, ca
     assert hash_files(with_outlier) == before
 
 
-def test_a_dry_run_writes_nothing(with_outlier, tmp_path, capsys):
-    assert run(with_outlier, "--margin", 0.5, "--dry-run") == 0
-    printed = capsys.readouterr().out
-    assert SENTENCE in printed
-    assert "dry run, nothing was written" in printed
-    assert run(with_outlier, "--dry-run", "--out", tmp_path / "new") == 0
+def test_a_dry_run_names_them_and_writes_nothing(with_outlier, tmp_path, capsys):
+    assert run(with_outlier, "--margin", 0.5, "--dry-run", "--out", tmp_path / "new") == 0
+    assert SENTENCE in capsys.readouterr().out
     assert not any(tmp_path.iterdir())
 
 
-def test_named_episodes_are_left_out_and_nothing_else_is_lost(with_outlier, tmp_path):
+def test_named_episodes_are_left_out(with_outlier, tmp_path):
     assert run(with_outlier, "--out", tmp_path / "new", "--drop", "0,3") == 0
     assert [row["seed"] for row in Store(tmp_path / "new").rows] == [1, 2, *range(4, 12)]
-    assert frame_column(tmp_path / "new", "target.pose").shape[1] == 7
+
+
+ROWS, DATA = "meta/episodes/chunk-000/file-000.parquet", "data/chunk-000/file-000.parquet"
+SURPLUS = {f"more {number}": pa.nulls(300_000, pa.bool_()) for number in range(40)}
+
+
+@pytest.mark.parametrize(
+    ("path", "change", "sentence"),
+    [
+        (ROWS, lambda n: {"tasks": pa.array([0.5] * n)}, "column tasks of type double; it must be list<"),
+        (ROWS, lambda n: {"stats/captured": pa.array([{"a": [None]}] * n)}, "stats/captured of type struct<"),
+        (ROWS, lambda n: {"benchmark": pa.nulls(n)}, "benchmark must be of type str, got None"),
+        (
+            ROWS,
+            lambda n: {"tasks": pa.array([[]] * n, pa.list_(pa.string()))},
+            "tasks must be of type tuple[str], got []",
+        ),
+        (ROWS, lambda n: {name: pa.nulls(300_000) for name in ("length", "seed")} | SURPLUS, "things or more"),
+        (DATA, lambda n: {"action": pa.array([[0.0] * (17 + i % 2 * 2) for i in range(n)])}, "its column action is of"),
+        (DATA, lambda n: {"next.done": pa.array([True] * (n - 1) + [None])}, "its column next.done is of type bool"),
+    ],
+)
+def test_columns_of_other_types_are_named(path, change, sentence, tmp_path, capsys):
+    root = write(tmp_path / "d", range(2), image_size=0)
+    held = pq.read_table(root / path)
+    columns = {name: held[name] for name in held.schema.names} | change(len(held))
+    longest = max(map(len, columns.values()))
+    columns = {name: values if len(values) == longest else pa.nulls(longest) for name, values in columns.items()}
+    pq.write_table(pa.table(columns), root / path)
+    assert run(root, "--out", tmp_path / "new", "--drop", "0") == 2
+    assert sentence in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()

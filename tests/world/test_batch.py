@@ -11,6 +11,7 @@ from dynahoi_lerobot.core.rules import CONTROL_CLASSES
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.env import DynahoiVectorEnv
 from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.motions.projectile import Lob
 from dynahoi_lerobot.motions.straight_line import Constant
 from dynahoi_lerobot.rollout.loop import ActionLog, evaluate, replay
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -72,11 +73,18 @@ def test_resetting_one_world_leaves_the_others_untouched(every_kind: list[Episod
     np.testing.assert_array_equal(batch._batch.state[others], undisturbed._batch.state[others])
 
 
-def test_a_world_remembers_nothing_of_its_last_episode(every_kind: list[EpisodeSpec], reference: dict[int, str]):
-    """One world plays struck, pendulum, ramp and wall in turn; fixtures, welds and masses must not linger."""
-    order = [s for s in every_kind if s.motion.category in ("impact_response", "pendulum", "inclined_rolling")]
-    once = digests([*order, *order[::-1]], 1)
-    assert once == {seed: reference[seed] for seed in once}
+def test_what_struck_a_target_is_not_in_the_way_of_the_next_one(specs: list[EpisodeSpec]):
+    struck, striker = next((s, found) for s in specs if (found := s.motion.launch(s.target).striker))
+    above = tuple(np.add(striker.pos, (0.0, 0.0, 0.2)))
+    fresh, used = (
+        world([falling := replace(struck, motion=Lob(above, (0.0, 0.0, 0.0), release_s=0.0))]),
+        world([struck]),
+    )
+    used.reset([0], [falling])
+    for _ in range(12):
+        fresh.step(fresh.executed)
+        used.step(used.executed)
+    np.testing.assert_array_equal(used.target_pose, fresh.target_pose)
 
 
 def test_a_fingertip_in_the_middle_of_a_ring_is_as_far_from_it_as_from_its_tube(specs: list[EpisodeSpec]):
@@ -105,14 +113,6 @@ def shifted(spec: EpisodeSpec) -> EpisodeSpec:
     )
 
 
-def test_the_first_observation_is_the_same_wherever_the_home_is(specs: list[EpisodeSpec]):
-    batch = world(specs)
-    observation, fingertips = batch.observe(images=False), batch.fingertips()
-    assert not observation.state[:, :PALM_DOF].any()
-    np.testing.assert_allclose(observation.state, np.tile(observation.state[0], (len(specs), 1)), atol=ROUNDING)
-    np.testing.assert_allclose(fingertips, np.tile(fingertips[0], (len(specs), 1)), atol=5e-6)
-
-
 def test_an_episode_elsewhere_looks_the_same_in_numbers(specs: list[EpisodeSpec]):
     here = next(spec for spec in specs if spec.motion.name == "constant")
     one, other = world([here]), world([shifted(here)])
@@ -123,21 +123,16 @@ def test_an_episode_elsewhere_looks_the_same_in_numbers(specs: list[EpisodeSpec]
             batch.step(command)
         for name in ("state", "given", "target_pose", "target_velocity", "palm_distance"):
             np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=ROUNDING, err_msg=name)
+        np.testing.assert_allclose(one.fingertips(), other.fingertips(), atol=5e-6)
     np.testing.assert_allclose(other.home_pos_w - one.home_pos_w, SHIFT_W[None], atol=1e-12)
 
 
 def test_an_episode_keeps_its_home_apart(expert_episodes: list[Episode], specs: list[EpisodeSpec]):
     for episode, spec in zip(expert_episodes, specs, strict=True):
         np.testing.assert_array_equal(episode.home_position, spec.home_pos_w)  # exactly, in single precision
-        np.testing.assert_allclose(
-            episode.intercept_position + episode.home_position, spec.intercept_pos_w, atol=ROUNDING
-        )
+        intercept_w = episode.intercept_position + episode.home_position
+        np.testing.assert_allclose(intercept_w, spec.intercept_pos_w, atol=ROUNDING)
         assert not episode.state[0, :PALM_DOF].any()
-        np.testing.assert_allclose(
-            episode.target_pose[: spec.window_frames, :3] + episode.home_position,
-            spec.target_path_w[: spec.window_frames],
-            atol=0.01 if spec.motion.category in ("inclined_rolling", "impact_response") else ROUNDING,
-        )
 
 
 @pytest.mark.parametrize("control_class", ["standard", "late"])
@@ -233,6 +228,8 @@ def waiting(specs: list[EpisodeSpec], **options) -> WorldBatch:
 def test_palm_and_joints_keep_to_the_speed_limits_and_the_palm_to_its_direction(control_class: str, specs):
     hands, control = waiting(specs, control_class=control_class), CONTROL_CLASSES[control_class]
     direction = np.array([3.0, -2.0, 6.0]) / 7
+    late = control.latency_frames > 0
+    assert hands.acting.all() != late, "the window goes on until the first command takes effect"
     before = hands.executed.copy()
     for _ in range(1 + control.latency_frames):
         hands.step(np.hstack([before[:, :PALM_DOF] + 5 * direction * [0.2, 0.2, 0.2], before[:, PALM_DOF:] + 2.0]))
@@ -241,19 +238,6 @@ def test_palm_and_joints_keep_to_the_speed_limits_and_the_palm_to_its_direction(
         moved[:, :PALM_DOF], np.tile(control.palm_speed_m_s * CONTROL_DT * direction, (4, 1)), rtol=1e-5
     )
     np.testing.assert_allclose(moved[:, PALM_DOF:].max(axis=1), control.joint_speed_rad_s * CONTROL_DT, rtol=1e-5)
-
-
-def test_a_late_command_takes_effect_three_frames_after_it_was_given(specs: list[EpisodeSpec]):
-    hands = waiting(specs, control_class="late")
-    home = hands.executed.copy()
-    assert not hands.acting.all(), "the window goes on until the first command takes effect"
-    hands.step(home + ([0.01] + [0.0] * 17))
-    for _ in range(3):
-        np.testing.assert_array_equal(hands.executed, home)
-        hands.step(home)
-    np.testing.assert_allclose(hands.executed[:, 0] - home[:, 0], 0.01, atol=1e-6)
-    hands.step(home)
-    np.testing.assert_array_equal(hands.executed, home)
 
 
 def test_under_contact_each_axis_of_the_gantry_has_its_limit(specs: list[EpisodeSpec]):

@@ -62,16 +62,6 @@ def ages(n: int, step_s: float = 0.05) -> torch.Tensor:
     return time_s[:, None] - time_s
 
 
-def test_a_block_does_not_see_ahead():
-    torch.manual_seed(0)
-    block, tokens = TemporalBlock(16, 4), torch.randn(2, 6, 16)
-    changed = tokens.clone()
-    changed[:, 4:] += 1
-    before, after = block(tokens, ages(6), Memory()), block(changed, ages(6), Memory())
-    assert torch.allclose(before[:, :4], after[:, :4], atol=1e-6)
-    assert not torch.allclose(before[:, 4:], after[:, 4:], atol=1e-2)
-
-
 def test_readouts_return_convex_combinations_of_earlier_positions():
     torch.manual_seed(0)
     readout, positions = PositionReadout(16, 5), torch.arange(6.0)[None, :, None].expand(1, 6, 3)
@@ -171,36 +161,27 @@ def test_a_gr00t_head_starts_from_the_slot_of_its_embodiment(released: dict[str,
 
 
 @pytest.mark.usefixtures("released")
-@pytest.mark.parametrize(
-    ("changes", "told"),
-    [
-        ({"n_future_tokens": 7}, r"future_tokens.weight is \(3, 16\), but this gr00t head has \(7, 16\)"),
-        ({"embodiment": -1}, "embodiment is -1, but must be 0 to 1"),
-        ({"embodiment": 2}, "embodiment is 2, but must be 0 to 1"),
-    ],
-)
-def test_a_gr00t_head_of_another_size_or_embodiment_is_refused(tmp_path: Path, changes: dict, told: str):
+@pytest.mark.parametrize("changes", [{"n_future_tokens": 7}, {"embodiment": -1}, {"embodiment": 2}])
+def test_a_checkpoint_that_a_gr00t_head_does_not_fit_is_refused(tmp_path: Path, changes: dict):
+    ((name, value),) = changes.items()
     head = Gr00tHead(4, 3, [2], **SMALL_GR00T | {"checkpoint": str(tmp_path), "embodiment": 1} | changes)
-    with pytest.raises(ValueError, match=told):
+    with pytest.raises(ValueError, match=f"{name.removeprefix('n_')}.*{value}"):
         head.load_pretrained()
-
-
-def test_a_checkpoint_without_an_action_head_is_refused(tmp_path: Path):
     save_file({"backbone.weight": torch.zeros(2)}, tmp_path / "model.safetensors")
-    with pytest.raises(ValueError, match=r"no GR00T-N1\.5 checkpoint"):
-        Gr00tHead(4, 3, [2], checkpoint=str(tmp_path), **SMALL_GR00T).load_pretrained()
+    with pytest.raises(ValueError, match="no GR00T"):
+        head.load_pretrained()
 
 
 def test_a_gr00t_head_learns_which_way_to_go():
     torch.manual_seed(0)
     head = Gr00tHead(4, 1, [2], **SMALL_GR00T)
     optimizer = torch.optim.Adam(head.parameters(), lr=3e-3)
-    sides = torch.tensor([-1.0, 1.0]).repeat(64)
-    context, actions = torch.zeros(128, 4), torch.zeros(128, 1, 2)
+    sides = torch.tensor([-1.0, 1.0]).repeat(32)
+    context, actions = torch.zeros(64, 4), torch.zeros(64, 1, 2)
     context[:, 0] = actions[:, 0, 0] = sides
-    for _ in range(200):
+    for _ in range(100):
         optimizer.zero_grad()
-        head.loss(context, actions, torch.ones(128, 1)).mean().backward()
+        head.loss(context, actions, torch.ones(64, 1)).mean().backward()
         optimizer.step()
     with torch.no_grad():
         assert (head.eval().sample(context, 0)[:, 0, 0].sign() == sides).float().mean() > 0.95
