@@ -87,6 +87,14 @@ def test_what_struck_a_target_is_not_in_the_way_of_the_next_one(specs: list[Epis
     np.testing.assert_array_equal(used.target_pose, fresh.target_pose)
 
 
+def test_a_target_at_a_fingertip_is_nearest_to_that_finger(specs: list[EpisodeSpec]):
+    batch = world([next(spec for spec in specs if spec.target.name == "ball")])
+    tips = batch.fingertips()[0].reshape(5, 6)[:, :3]
+    for finger, tip in enumerate(tips):
+        batch.place(batch.state, np.concatenate([tip, [1.0, 0.0, 0.0, 0.0]])[None])
+        assert batch.tip_distance()[0].argmin() == finger
+
+
 def test_a_fingertip_in_the_middle_of_a_ring_is_as_far_from_it_as_from_its_tube(specs: list[EpisodeSpec]):
     """What lies there are hidden solids, which the ring does not use."""
     spec = next(spec for spec in specs if spec.target.name == "ring")
