@@ -114,6 +114,8 @@ def test_a_dataset_holds_where_the_eye_saw_the_target(by_eye: Path) -> None:
         acting = slice(episode.meta.window_frames, episode.first_localized)
         error_m = np.linalg.norm(seen[acting, :3] - episode.target_pose[acting, :3], axis=1)
         assert np.median(error_m) < 0.1
+        across, along = np.median(seen[acting, 12:], axis=0)
+        assert across < along, "one image tells directions better than distances"
         for at, age in enumerate((2, 4, 8), start=1):
             np.testing.assert_array_equal(seen[age:, 3 * at : 3 * at + 3], seen[:-age, :3])
             np.testing.assert_array_equal(seen[:age, 3 * at : 3 * at + 3], np.tile(seen[0, :3], (age, 1)))
