@@ -47,6 +47,8 @@ CASES = [
     ("verify x --json missing/summary.json", "missing/summary.json"),
     (f"{GENERATE} --dry-run", "--dry-run needs --executor"),
     (f"{GENERATE} --expert pursit", "'pursit' (did you mean 'pursuit'?)"),
+    (f"{GENERATE} --hand claw", "'claw'"),
+    (f"{GENERATE} --renderer gl", "'gl'"),
     (f"{GENERATE} --environment-state tru", "known: truth, eye"),
     (f"{GENERATE} --json .", "--json"),
     (f"{GENERATE} --episodes {10**30}", f"{10**30}"),
