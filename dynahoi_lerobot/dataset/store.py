@@ -231,7 +231,7 @@ class Store:
             names = [name for name in held if not name.startswith(EPISODE_TABLE_PREFIX)]
             names = [name for name in names if name in wanted.names or not pa.types.is_nested(held[name])]
             if (cells := cells + file.metadata.num_rows * len(names)) > CELLS:
-                raise ReadError(f"{path} says {cells} things or more of the episodes, beyond {CELLS}")
+                raise ReadError(f"{path} holds {cells} values or more; at most {CELLS} are read")
             for row in read_rows(path, names):
                 places = [name for name in row if name.startswith("videos/") and name.endswith("_index")]
                 if wrong := [name for name in (*PLACE, *places) if not fits(row.get(name), int) or row[name] < 0]:

@@ -92,7 +92,7 @@ SURPLUS = {f"more {number}": pa.nulls(300_000, pa.bool_()) for number in range(4
             lambda n: {"tasks": pa.array([[]] * n, pa.list_(pa.string()))},
             "tasks must be of type tuple[str], got []",
         ),
-        (ROWS, lambda n: {name: pa.nulls(300_000) for name in ("length", "seed")} | SURPLUS, "things or more"),
+        (ROWS, lambda n: {name: pa.nulls(300_000) for name in ("length", "seed")} | SURPLUS, "at most"),
         (DATA, lambda n: {"action": pa.array([[0.0] * (17 + i % 2 * 2) for i in range(n)])}, "its column action is of"),
         (DATA, lambda n: {"next.done": pa.array([True] * (n - 1) + [None])}, "its column next.done is of type bool"),
     ],
