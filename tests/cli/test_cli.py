@@ -10,6 +10,8 @@ from pathlib import Path
 
 import av
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
@@ -121,3 +123,14 @@ def test_a_sample_shows_what_the_dataset_holds_in_step(dataset: Path, tmp_path: 
     assert sheet.height // side == -(-last["frames"] // page["columns"])
     assert stratified(["lob", "ramp", "lob", "lob", "ramp"], 2) == [0, 3, 1, 4], "as many of each kind"
     assert stratified(["lob", "ramp", "lob"], 9) == [0, 2, 1]
+
+
+def test_a_sample_needs_the_fingers_of_state_and_action(dataset: Path, tmp_path: Path, recwarn, capsys):
+    root = shutil.copytree(dataset, tmp_path / "d")
+    (file,) = (root / "data").glob("*/*.parquet")
+    table = pq.read_table(file)
+    narrow = pa.array(np.zeros(len(table), np.float32))
+    pq.write_table(table.set_column(table.schema.names.index("action"), "action", narrow), file)
+    assert view("--dataset", root, "--sample", 1, "--out", tmp_path / "s.html") == 2
+    assert "has 1 numbers a frame" in capsys.readouterr().err
+    assert not recwarn.list
