@@ -134,14 +134,14 @@ def column_array(table: pa.Table, key: str) -> np.ndarray:
     """Return a numeric column as (n, D); LeRobot's own tools write lists that are not of a fixed size.
 
     Raises:
-        ValueError: if it has something else than numbers, or not as many in each row.
+        ValueError: if it holds anything but numbers, or rows of different lengths.
     """
     values = column = table[key].combine_chunks()
     lengths: Any = [1]
     if is_list(column.type):
         values, lengths = column.flatten(), pc.call_function("list_value_length", [column]).unique().to_pylist()
     if not is_number(values.type) or column.null_count or values.null_count or len(lengths) > 1 or lengths == [0]:
-        raise ValueError(f"its column {key} is of type {column.type}; it must hold as many numbers in every row")
+        raise ValueError(f"its column {key} is of type {column.type}; every row must hold equally many numbers")
     return values.to_numpy(zero_copy_only=False).reshape(len(column), -1 if len(column) else 1)  # (n, D)
 
 

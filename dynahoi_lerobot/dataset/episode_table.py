@@ -117,15 +117,15 @@ def row_schema(features: Features, columns: Sequence[Feature]) -> pa.Schema:
 def fits_column(found: pa.DataType, wanted: pa.DataType) -> bool:
     """Tell whether a column may be of another type than ``row_schema`` says.
 
-    LeRobot's tools write other numbers and lists, and null where an episode of others lacks it.
+    LeRobot's tools write other numeric and list types, and null where an episode from elsewhere has no value.
     """
-    if pa.types.is_null(found) or (is_list(found) and is_list(wanted)):
-        return pa.types.is_null(found) or fits_column(found.value_type, wanted.value_type)
-    return (
-        found in (pa.string(), pa.large_string())
-        if pa.types.is_string(wanted)
-        else is_number(found) and is_number(wanted)
-    )
+    if pa.types.is_null(found):
+        return True
+    if is_list(found) and is_list(wanted):
+        return fits_column(found.value_type, wanted.value_type)
+    if pa.types.is_string(wanted):
+        return found in (pa.string(), pa.large_string())
+    return is_number(found) and is_number(wanted)
 
 
 def _type(feature: Feature) -> pa.DataType:

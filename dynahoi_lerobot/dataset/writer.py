@@ -175,7 +175,7 @@ class DatasetWriter:
         ``row`` is its full row, ``table`` its frames, and ``packets`` are those of each view, none without video.
 
         Raises:
-            TypeError, ValueError: if the row lacks a fact, a column numbers, or one is of another type.
+            TypeError, ValueError: if the row lacks a fact, or a value has the wrong type.
         """
         columns = {name: table[name].combine_chunks() for name in table.column_names}
         own = episode_table.without_place(row)
