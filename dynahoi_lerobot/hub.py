@@ -39,7 +39,7 @@ from dynahoi_lerobot.evaluate.checkpoint import (
 from dynahoi_lerobot.evaluate.replay_results import changed_rules, check_episodes, check_results, drawn, open_recipe
 from dynahoi_lerobot.evaluate.results import ACTIONS_FILE, EPISODES_FILE, METRICS_FILE, WEIGHTS, Results, read_results
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
-from dynahoi_lerobot.sampling.splits import split_of
+from dynahoi_lerobot.sampling.salt import split_of
 from dynahoi_lerobot.verify.command import verify
 
 if TYPE_CHECKING:

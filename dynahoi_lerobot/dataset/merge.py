@@ -22,7 +22,7 @@ from dynahoi_lerobot.dataset.paths import MANIFEST_PATH, FileLimits
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.video import stored_packets
 from dynahoi_lerobot.dataset.writer import DatasetWriter
-from dynahoi_lerobot.sampling.splits import refuse_to_mix
+from dynahoi_lerobot.sampling.salt import refuse_to_mix
 
 Opened = tuple[Path, Iterator[tuple[int, Packet]]]
 """A video and its packets from the next one on, numbered."""

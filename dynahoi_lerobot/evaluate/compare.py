@@ -11,7 +11,7 @@ from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.evaluate.rows import identity
 from dynahoi_lerobot.evaluate.summary import RESAMPLES, SEED, Estimate, bootstrap
 from dynahoi_lerobot.metrics import METRICS, Metric
-from dynahoi_lerobot.sampling.splits import refuse_mixed_streams, refuse_to_mix
+from dynahoi_lerobot.sampling.salt import refuse_mixed_streams, refuse_to_mix
 
 CROSSABLE = ("protocol", "control_class", "inference", "render_noise", "path_speed")
 """Conditions that may be what is compared: the same episodes, played under others."""

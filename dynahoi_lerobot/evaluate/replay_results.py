@@ -28,7 +28,8 @@ from dynahoi_lerobot.rollout.loop import replay
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.fingerprint import surroundings
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.splits import seal, split_of, split_seeds, stream_label
+from dynahoi_lerobot.sampling.salt import seal, split_of, stream_label
+from dynahoi_lerobot.sampling.splits import split_seeds
 
 PLAYED_TOGETHER = 32
 SHOWN = 10

@@ -35,7 +35,7 @@ from dynahoi_lerobot.rollout.loop import ActionLog
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.fingerprint import surroundings
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.splits import stream_label, without_salt
+from dynahoi_lerobot.sampling.salt import stream_label, without_salt
 
 METRICS_FILE = "metrics.json"
 EPISODES_FILE = "episodes.parquet"

@@ -8,7 +8,7 @@ from pathlib import Path
 from dynahoi_lerobot.core.escaping import printable
 from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.evaluate.rows import Row, identity
-from dynahoi_lerobot.sampling.splits import refuse_mixed_streams, refuse_to_mix
+from dynahoi_lerobot.sampling.salt import refuse_mixed_streams, refuse_to_mix
 
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c6bb1", "#999999")
 """Okabe and Ito's colour-blind safe palette without black and yellow, legible on light and dark."""

@@ -26,7 +26,7 @@ from dynahoi_lerobot.renderers.views import OPTIONAL_VIEWS
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK, Split
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint, extension_fingerprint
 from dynahoi_lerobot.sampling.randomization import RANDOMIZATIONS
-from dynahoi_lerobot.sampling.splits import check_salt, seal
+from dynahoi_lerobot.sampling.salt import check_salt, seal
 
 INSTRUCTION_STYLES: tuple[str, ...] = ("reveal", "neutral", "mixed")
 """``reveal`` names object and motion, ``neutral`` the object only, ``mixed`` is either with equal probability."""

@@ -18,7 +18,7 @@ from dynahoi_lerobot.objects import OBJECTS, TargetObject
 from dynahoi_lerobot.sampling.homes import choose_home, find_homes, in_arena
 from dynahoi_lerobot.sampling.randomization import randomize_appearance
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.splits import salt_words, stream_label
+from dynahoi_lerobot.sampling.salt import salt_words, stream_label
 from dynahoi_lerobot.sampling.target_path import RollAhead
 from dynahoi_lerobot.sampling.timing import Timing, draw_timing
 from dynahoi_lerobot.scene.appearance import Appearance

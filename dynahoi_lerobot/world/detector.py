@@ -10,7 +10,7 @@ from lerobot_policy_obact.camera import Pinhole
 from lerobot_policy_obact.encoders import Eye
 
 from dynahoi_lerobot.core.features import SIGHTING_AGES
-from dynahoi_lerobot.world.sensors import FrameHistory
+from dynahoi_lerobot.world.frame_history import FrameHistory
 
 DECIMALS = 4
 """Sightings are rounded to 0.1 mm, below which the last bits of a network differ between processors."""

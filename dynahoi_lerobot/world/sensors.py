@@ -26,6 +26,7 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.scene.scene import Scene
 from dynahoi_lerobot.scene.signed_distance import signed_distance
 from dynahoi_lerobot.scene.world_fields import WorldFields
+from dynahoi_lerobot.world.frame_history import FrameHistory
 
 if TYPE_CHECKING:
     from dynahoi_lerobot.world.detector import Detector
@@ -47,32 +48,6 @@ def with_render_noise(image: np.ndarray, levels: int, seed: int, frame: int, vie
     rng = np.random.default_rng([RENDER_NOISE_STREAM, seed, frame, zlib.crc32(view.encode())])
     change = rng.integers(-levels, levels, image.shape, np.int16, endpoint=True)
     return np.clip(image + change, 0, 255).astype(np.uint8)
-
-
-class FrameHistory:
-    """What was last measured in N worlds; before an episode's start stands what was measured first.
-
-    Attributes:
-        values: (depth, N, ...), newest first.
-        frame: (N,) int, of each world's newest, -1 where there is none yet.
-    """
-
-    def __init__(self, size: int, depth: int, shape: tuple[int, ...], dtype: type = float) -> None:
-        self.values, self.frame = np.zeros((depth, size, *shape), dtype), np.full(size, -1)
-
-    def forget(self, ids: np.ndarray) -> None:
-        """Forget worlds ``ids`` (n,), whose episodes begin."""
-        self.frame[ids] = -1
-
-    def add(self, i: int, value: np.ndarray, frame: int) -> None:
-        """Add what is measured in world ``i`` at a frame; frames since the last that were left out show the same."""
-        passed = frame - int(self.frame[i])
-        if self.frame[i] < 0:
-            self.values[:, i] = value
-        elif passed:
-            self.values[passed:, i] = self.values[:-passed, i].copy()
-        self.values[: max(passed, 1), i] = value
-        self.frame[i] = frame
 
 
 def _grey(image: np.ndarray) -> np.ndarray:

@@ -30,8 +30,8 @@ from dynahoi_lerobot.motions import CATEGORIES
 from dynahoi_lerobot.rollout.inference import Inference, RealTimeAgent
 from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.sampling.salt import stream_label
 from dynahoi_lerobot.sampling.sampler import sample_specs
-from dynahoi_lerobot.sampling.splits import stream_label
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.checkpoints import FEATURES, SHIPPED, tiny_act
 

@@ -23,8 +23,9 @@ from dynahoi_lerobot.rollout.loop import evaluate, record
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.homes import visible
 from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.salt import seal, without_salt
 from dynahoi_lerobot.sampling.sampler import sample_spec, sample_specs
-from dynahoi_lerobot.sampling.splits import seal, split_seeds, without_salt
+from dynahoi_lerobot.sampling.splits import split_seeds
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.tools import generated
 from tests.world.playing import SMALL

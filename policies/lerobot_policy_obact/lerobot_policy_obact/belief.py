@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, Self, cast
+from typing import Any, Self, cast
 
 import torch
 from einops import einsum, rearrange, repeat
@@ -12,11 +12,9 @@ from torch import Tensor, nn
 
 from .attention import Memory, PositionReadout, TemporalBlock
 from .camera import Pinhole
+from .configuration_obact import ObActConfig
 from .encoders import N_SIGHTING
 from .heads import perceptron
-
-if TYPE_CHECKING:
-    from .configuration_obact import ObActConfig
 
 FORECAST_FRAMES = (0, 1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48)
 """Frames ahead at which the target's position is forecast."""

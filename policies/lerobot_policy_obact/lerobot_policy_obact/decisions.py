@@ -9,7 +9,7 @@ catching the target (`closed_loop_loss`). What is seen meanwhile stays what the 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from einops import rearrange, repeat
@@ -18,11 +18,9 @@ from torch import Tensor
 
 from .attention import MEMORY_FRAMES
 from .belief import FORECAST_FRAMES, Frames, Outlook, Record, gather_frames, palm_of, stepped
+from .configuration_obact import ObActConfig
+from .network import ObActModel
 from .teacher import Targets, Teacher
-
-if TYPE_CHECKING:
-    from .configuration_obact import ObActConfig
-    from .modeling_obact import ObActModel
 
 EARLY_SHARE, EARLIEST_FRAME = 0.15, 3
 """Share of the decisions that are taken anywhere in the observation window, and the first frame at which."""

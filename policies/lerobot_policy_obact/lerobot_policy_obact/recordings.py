@@ -17,7 +17,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -31,10 +31,8 @@ from tqdm import tqdm
 
 from .configuration_obact import CONTACT, ObActConfig, Rig
 from .decisions import SPREAD, Episodes
+from .network import ObActModel
 from .teacher import NEVER, Grip, Targets, Teacher
-
-if TYPE_CHECKING:
-    from .modeling_obact import ObActModel
 
 # columns of the episode table of a DynaHOI dataset, see its feature table
 CAMERA_POSE, CAMERA_INTRINSICS, HAND_LIMITS = "stats/{}_camera", "stats/{}_intrinsics", "stats/hand_limits"

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections import deque
 from copy import deepcopy
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -21,11 +20,9 @@ from .belief import Frames, palm_of, stepped
 from .camera import Pinhole
 from .decisions import ROLLED_FRAMES, SPREAD, Episodes
 from .encoders import N_SIGHTING
+from .network import ObActModel
+from .recordings import Recordings
 from .teacher import NEVER, Targets, Teacher
-
-if TYPE_CHECKING:
-    from .modeling_obact import ObActModel
-    from .recordings import Recordings
 
 POOL, USES, LONGEST_FRAMES = 384, 4, 110  # episodes made at a time, how often each is learned from, how long they are
 LED_SHARE = 0.7  # of the hands, that the policy leads; the teacher leads the others

@@ -27,7 +27,7 @@ from lerobot_policy_obact.configuration_obact import Rig
 from lerobot_policy_obact.decisions import Episodes, closed_loop_loss, decision_losses, rolled_rows
 from lerobot_policy_obact.encoders import SHIPPED
 from lerobot_policy_obact.export import export
-from lerobot_policy_obact.modeling_obact import ObActModel
+from lerobot_policy_obact.network import ObActModel
 from lerobot_policy_obact.teacher import NEVER, Grip, Targets, Teacher
 from lerobot_policy_obact.virtual_episodes import SightingErrors
 from safetensors.torch import load_file

@@ -18,7 +18,7 @@ from lerobot_policy_obact import ObActConfig, recordings
 from lerobot_policy_obact.attention import MEMORY_FRAMES
 from lerobot_policy_obact.configuration_obact import Rig
 from lerobot_policy_obact.decisions import Episodes, episode_losses
-from lerobot_policy_obact.modeling_obact import ObActModel
+from lerobot_policy_obact.network import ObActModel
 from safetensors.torch import save_file
 
 from dynahoi_lerobot.core.features import episode_features
