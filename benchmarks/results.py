@@ -1,7 +1,7 @@
 """Rebuild a table of learned policies in docs/results.md: generate, train and evaluate every row, and print it.
 
 python benchmarks/results.py [--rows benchmarks/results.yaml] [--only "ObAct" ...] [--root outputs/results]
-    [--split test] [--episodes N] [--workers 2] [--dry-run] [--json docs/figures/policies.json] [--tiny]
+    [--split test] [--episodes N] [--salt SALT] [--workers 2] [--dry-run] [--json docs/figures/policies.json] [--tiny]
 
 The rows name the recipes and the options that they change; benchmarks/ablations.yaml holds the ablations. What is
 already in the root is not done again, so the same command resumes a run that was stopped. ``--json`` replaces the rows
@@ -16,7 +16,7 @@ import shlex
 import shutil
 import subprocess
 from collections import Counter
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ from support.options import benchmark_parser, pinned_benchmark, provenance, writ
 
 from dynahoi_lerobot.evaluate.checkpoint import folder_weights
 from dynahoi_lerobot.evaluate.compare import compare
-from dynahoi_lerobot.evaluate.results import WEIGHTS, read_results
+from dynahoi_lerobot.evaluate.results import WEIGHTS, Results, read_results
 from dynahoi_lerobot.evaluate.table import MAIN_COLUMNS, metrics_table
 
 REPOSITORY = Path(__file__).parents[1]
@@ -78,6 +78,7 @@ class Plan:
         generate: episodes of a dataset instead of its own number; 0 for that.
         train: options added to every training.
         episodes: of the evaluation; 0 for all.
+        salt: of as many further episodes; empty for none.
     """
 
     root: Path
@@ -87,23 +88,25 @@ class Plan:
     generate: int
     train: str
     episodes: int
+    salt: str = ""
 
     def commands(self, row: Row, seed: int) -> dict[Path, list[str]]:
-        """Return the commands of a row in their order, each with the folder that it fills."""
+        """Return the commands of a row in their order, each with the folder that it fills: data, training, results."""
         run = f"{re.sub('[^a-z0-9]+', '_', row.name.lower()).strip('_')}-{seed}"
         data, training = self.root / "data" / row.dataset, self.root / "training" / run
         dataset = self.datasets[row.dataset]
         limit = ["--episodes", str(self.episodes)] if self.episodes else []
         options = shlex.split(f"{row.train} {self.train}")
+        evaluate = ["dynahoi", "evaluate", "--policy", str(training / "checkpoints/last/pretrained_model"),
+                    "--split", self.split, *limit, *shlex.split(row.evaluate)]  # fmt: skip
+        results, salted = self.root / self.split / run, self.root / f"{self.split}_salted" / run
         return {
             data: ["dynahoi", "generate", *shlex.split(dataset["options"]), "--workers", str(self.workers),
                    "--episodes", str(self.generate or dataset["episodes"]), "--root", str(data)],
             training: ["lerobot-train", f"--config_path={row.recipe}", f"--dataset.root={data}",
                        f"--output_dir={training}", f"--seed={seed}", *options],
-            self.root / self.split / run: [
-                "dynahoi", "evaluate", "--policy", str(training / "checkpoints/last/pretrained_model"),
-                "--split", self.split, "--out", str(self.root / self.split / run), *limit, *shlex.split(row.evaluate)],
-        }  # fmt: skip
+            results: [*evaluate, "--out", str(results)],
+        } | ({salted: [*evaluate, "--out", str(salted), "--salt", self.salt]} if self.salt else {})  # fmt: skip
 
 
 def main() -> None:
@@ -114,6 +117,7 @@ def main() -> None:
     parser.add_argument("--root", type=Path, default=Path("outputs/results"))
     parser.add_argument("--split", default="test")
     parser.add_argument("--episodes", type=int, default=0, help="of each evaluation; all of the split by default")
+    parser.add_argument("--salt", default="", help="also evaluate as many episodes of this salted stream")
     parser.add_argument("--seeds", type=int, default=0, help="training seeds of each row; as the file says by default")
     parser.add_argument("--generate", type=int, default=0, help="episodes of each dataset; as the file says by default")
     parser.add_argument("--train", default="", help="options added to every training")
@@ -125,9 +129,17 @@ def main() -> None:
     if unknown := set(args.only or []) - {row.name for row in rows}:
         parser.error(f"--only has {', '.join(sorted(unknown))}, but the rows are {', '.join(row.name for row in rows)}")
     plan = Plan(
-        args.root.resolve(), table["datasets"], args.workers, args.split, args.generate, args.train, args.episodes
+        args.root.resolve(),
+        table["datasets"],
+        args.workers,
+        args.split,
+        args.generate,
+        args.train,
+        args.episodes,
+        args.salt,
     )
-    runs, minutes, against = {}, {}, {}
+    runs: dict[str, Results] = {}
+    minutes, against = {}, {}
     for row in rows if args.only is None else [row for row in rows if row.name in args.only]:
         for seed in range(args.seeds or row.seeds):
             commands = plan.commands(row, seed)
@@ -137,22 +149,30 @@ def main() -> None:
             for folder, command in commands.items():
                 if not done(folder).is_file():
                     do(folder, command)
-            _, training, runs[f"{row.name}, seed {seed}"] = commands
+            _, training, *results = commands
+            runs[f"{row.name}, seed {seed}"] = pooled(results)
             minutes[f"{row.name}, seed {seed}"] = json.loads(done(training).read_text())["processor_minutes"]
             against[f"{row.name}, seed {seed}"] = runs.get(f"{row.against}, seed 0")
     if not args.dry_run:
         print(as_markdown(runs, minutes))
         known = json.loads(args.json.read_text())["runs"] if args.json and args.json.exists() else {}
-        told = {name: figures(folder, minutes[name], against[name]) for name, folder in runs.items()}
+        told = {name: figures(results, minutes[name], against[name]) for name, results in runs.items()}
         write_numbers(args, runs=known | told)
 
 
-def figures(folder: Path, minutes: float, reference: Path | None = None) -> dict[str, Any]:
-    """Return what docs/figures tells of a result folder; ``checkpoint`` is the one that ships with its weights.
+def pooled(folders: list[Path]) -> Results:
+    """Return the results of one policy in several folders as one."""
+    first, *others = map(read_results, folders)
+    for other in others:
+        first = replace(first, rows=first.rows + other.rows, actions=first.actions + other.actions)
+    return first
 
-    With the result folder of a reference also how much higher S_loc is than its, paired by episode.
+
+def figures(results: Results, minutes: float, reference: Results | None = None) -> dict[str, Any]:
+    """Return what docs/figures tells of results; ``checkpoint`` is the one that ships with their weights.
+
+    With a reference's results also how much higher S_loc is than theirs, paired by episode.
     """
-    results = read_results(folder)
     weights = results.info.extra[WEIGHTS]
     shipped = [path.name for path in (REPOSITORY / "checkpoints").iterdir() if folder_weights(path) == weights]
     told = {"checkpoint": shipped[0]} if shipped else {}
@@ -161,7 +181,7 @@ def figures(folder: Path, minutes: float, reference: Path | None = None) -> dict
     stages = Counter(row["stage"] for row in results.rows)
     ends = {name: sum(map(stages.__getitem__, parts)) / stages.total() for name, parts in ENDS.items()}
     metrics |= {name: {"value": share, "unit": "fraction"} for name, share in ends.items()}
-    difference = compare(results, read_results(reference), "S_loc") if reference else None
+    difference = compare(results, reference, "S_loc") if reference else None
     paired = {"paired": asdict(difference)} if difference else {}
     ran = provenance() | {"command": results.info.command, "benchmark": pinned_benchmark(), WEIGHTS: weights}
     return told | ran | {"minutes": minutes, "metrics": metrics, "by_category": by_category} | paired
@@ -187,9 +207,9 @@ def do(folder: Path, command: list[str]) -> None:
     done(folder).write_text(json.dumps({"processor_minutes": round(spent_s / 60, 1)}) + "\n")
 
 
-def as_markdown(runs: dict[str, Path], minutes: dict[str, float]) -> str:
-    """Return the table of result folders and minutes of training, both by the name of a run."""
-    table = metrics_table(list(runs), [read_results(folder) for folder in runs.values()], MAIN_COLUMNS)
+def as_markdown(runs: dict[str, Results], minutes: dict[str, float]) -> str:
+    """Return the table of results and minutes of training, both by the name of a run."""
+    table = metrics_table(list(runs), list(runs.values()), MAIN_COLUMNS)
     rows = [
         (*(f"{cell.text} {cell.detail}".strip() for cell in row), f"{minutes[row[0].text]:.0f}") for row in table.rows
     ]
