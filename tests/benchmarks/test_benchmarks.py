@@ -46,6 +46,13 @@ def test_an_eye_is_tested_on_what_a_policy_sees(run: Callable[..., dict[str, Any
     assert 10 < sum(row["images"] for row in rows) < 60, "two episodes, from the window to the meeting"
 
 
+@pytest.mark.nightly
+@pytest.mark.slow
+def test_a_salt_doubles_the_episodes(run: Callable[..., dict[str, Any]]) -> None:
+    (row,) = run("results", "--salt", "sixteen letters!")["runs"].values()
+    assert row["metrics"]["S_loc"]["n"] == 4
+
+
 @pytest.mark.parametrize("place", ["file/n.json", "."])
 def test_a_place_that_cannot_hold_the_numbers_is_refused_before_the_work(place, run):
     Path("file").touch()
