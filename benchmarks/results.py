@@ -78,7 +78,7 @@ class Plan:
         generate: episodes of a dataset instead of its own number; 0 for that.
         train: options added to every training.
         episodes: of the evaluation; 0 for all.
-        salt: of as many further episodes; empty for none.
+        salt: of a stream of which as many episodes are evaluated, too; empty for none.
     """
 
     root: Path
@@ -88,7 +88,7 @@ class Plan:
     generate: int
     train: str
     episodes: int
-    salt: str = ""
+    salt: str
 
     def commands(self, row: Row, seed: int) -> dict[Path, list[str]]:
         """Return the commands of a row in their order, each with the folder that it fills: data, training, results."""
@@ -117,7 +117,7 @@ def main() -> None:
     parser.add_argument("--root", type=Path, default=Path("outputs/results"))
     parser.add_argument("--split", default="test")
     parser.add_argument("--episodes", type=int, default=0, help="of each evaluation; all of the split by default")
-    parser.add_argument("--salt", default="", help="also evaluate as many episodes of this salted stream")
+    parser.add_argument("--salt", default="", help="also evaluate as many episodes of the stream with this salt")
     parser.add_argument("--seeds", type=int, default=0, help="training seeds of each row; as the file says by default")
     parser.add_argument("--generate", type=int, default=0, help="episodes of each dataset; as the file says by default")
     parser.add_argument("--train", default="", help="options added to every training")
@@ -128,16 +128,8 @@ def main() -> None:
     rows = [Row(**row) for row in table["rows"]]
     if unknown := set(args.only or []) - {row.name for row in rows}:
         parser.error(f"--only has {', '.join(sorted(unknown))}, but the rows are {', '.join(row.name for row in rows)}")
-    plan = Plan(
-        args.root.resolve(),
-        table["datasets"],
-        args.workers,
-        args.split,
-        args.generate,
-        args.train,
-        args.episodes,
-        args.salt,
-    )
+    options = {name: getattr(args, name) for name in ("workers", "split", "generate", "train", "episodes", "salt")}
+    plan = Plan(args.root.resolve(), table["datasets"], **options)
     runs: dict[str, Results] = {}
     minutes, against = {}, {}
     for row in rows if args.only is None else [row for row in rows if row.name in args.only]:
@@ -161,7 +153,7 @@ def main() -> None:
 
 
 def pooled(folders: list[Path]) -> Results:
-    """Return the results of one policy in several folders as one."""
+    """Return the results of one policy in several folders, each of another stream of episodes, as one."""
     first, *others = map(read_results, folders)
     for other in others:
         first = replace(first, rows=first.rows + other.rows, actions=first.actions + other.actions)

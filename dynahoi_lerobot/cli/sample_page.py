@@ -85,7 +85,7 @@ def _episode(store: Store, index: int, key: str, columns: dict[str, np.ndarray |
     frames = slice(row["dataset_from_index"], row["dataset_to_index"])
     state, action = found = [column_array(table, name) for name in ("observation.state", "action")]
     if (least := min(array.shape[1] for array in found)) <= PALM_DOF:
-        raise ValueError(f"its state or action has length {least}; a hand's is longer than {PALM_DOF}")
+        raise ValueError(f"its state and action must have more than {PALM_DOF} numbers, got {least}")
     grasp = store.features["action"]["names"] == [*CONTROL_MODES[GRASP]]
     goal = action[:, :PALM_DOF] + (state[:, :PALM_DOF] if grasp else 0.0)
     closing = {"palm": state[:, PALM_DOF:].mean(axis=1), "action": action[:, PALM_DOF:].mean(axis=1)}

@@ -141,7 +141,7 @@ def column_array(table: pa.Table, key: str) -> np.ndarray:
     if is_list(column.type):
         values, lengths = column.flatten(), pc.call_function("list_value_length", [column]).unique().to_pylist()
     if not is_number(values.type) or column.null_count or values.null_count or len(lengths) > 1 or lengths == [0]:
-        raise ValueError(f"its column {key} is of type {column.type}; every row must hold equally many numbers")
+        raise ValueError(f"its column {key} is of type {column.type}; every row must hold the same number of values")
     return values.to_numpy(zero_copy_only=False).reshape(len(column), -1 if len(column) else 1)  # (n, D)
 
 

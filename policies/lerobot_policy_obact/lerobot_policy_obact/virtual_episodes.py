@@ -6,8 +6,6 @@ calibration, but for their errors, which are large and last for many frames. Eac
 frame in which the target stood at nearly the same place in the image. Training only.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from copy import deepcopy
 
