@@ -132,5 +132,5 @@ def test_a_sample_needs_the_fingers_of_state_and_action(dataset: Path, tmp_path:
     narrow = pa.array(np.zeros(len(table), np.float32))
     pq.write_table(table.set_column(table.schema.names.index("action"), "action", narrow), file)
     assert view("--dataset", root, "--sample", 1, "--out", tmp_path / "s.html") == 2
-    assert "has length 1" in capsys.readouterr().err
+    assert "got 1" in capsys.readouterr().err
     assert not recwarn.list
