@@ -1,9 +1,12 @@
-"""Environment steps per second: the native vector env against gymnasium's over one plain env per world.
+"""Environment steps per second: the native vector env against gymnasium's over one plain env per
+world.
 
-python benchmarks/env.py [--num-envs 1 8 64] [--image-size 128] [--rounds 2] [--steps 80] [--json FILE] [--tiny]
+python benchmarks/env.py [--num-envs 1 8 64] [--image-size 128] [--rounds 2] [--steps 80] [--json
+FILE] [--tiny]
 
-Every number comes from a process of its own; rounds take turns (A B C, A B C), so that a busy machine slows all alike.
-Episodes begin, end and begin again as in evaluation; actions wander about the measured state.
+Every number comes from a process of its own; rounds take turns (A B C, A B C), so that a busy
+machine slows all alike. Episodes begin, end and begin again as in evaluation; actions wander about
+the measured state.
 """
 
 import argparse
@@ -40,7 +43,11 @@ def one_process_each(num_envs: int, image_size: int) -> VectorEnv:
     return AsyncVectorEnv([partial(StraightforwardEnv, image_size)] * num_envs)
 
 
-SYSTEMS = {"DynahoiVectorEnv": native, "SyncVectorEnv": one_by_one, "AsyncVectorEnv": one_process_each}
+SYSTEMS = {
+    "DynahoiVectorEnv": native,
+    "SyncVectorEnv": one_by_one,
+    "AsyncVectorEnv": one_process_each,
+}
 
 
 def steps_per_second(system: str, num_envs: int, image_size: int, steps: int) -> dict[str, float]:
@@ -64,10 +71,16 @@ def steps_per_second(system: str, num_envs: int, image_size: int, steps: int) ->
 def main() -> None:
     parser = benchmark_parser(__doc__, **TINY)
     parser.add_argument("--num-envs", type=int, nargs="+", default=[1, 8, 64])
-    parser.add_argument("--image-size", type=int, default=128, help="side of the images [px]; 0 renders none")
+    parser.add_argument(
+        "--image-size", type=int, default=128, help="side of the images [px]; 0 renders none"
+    )
     parser.add_argument("--rounds", type=int, default=2)
-    parser.add_argument("--steps", type=int, default=80, help="least number of vector steps in a measurement")
-    parser.add_argument("--env-steps", type=int, default=640, help="least number of steps of all envs together")
+    parser.add_argument(
+        "--steps", type=int, default=80, help="least number of vector steps in a measurement"
+    )
+    parser.add_argument(
+        "--env-steps", type=int, default=640, help="least number of steps of all envs together"
+    )
     args = parser.parse_args()
     lines = [line for count in args.num_envs for line in compare(count, args)]
     write_numbers(args, lines=lines)
@@ -75,18 +88,31 @@ def main() -> None:
 
 def compare(num_envs: int, args: argparse.Namespace) -> list[dict[str, object]]:
     """Measure the systems in turns, print and return one line each."""
-    steps = max(args.steps, args.env_steps // num_envs)  # few worlds take longer to see episodes end
+    steps = max(
+        args.steps, args.env_steps // num_envs
+    )  # few worlds take longer to see episodes end
     rounds = [
-        {name: measure_apart(steps_per_second, name, num_envs, args.image_size, steps) for name in SYSTEMS}
+        {
+            name: measure_apart(steps_per_second, name, num_envs, args.image_size, steps)
+            for name in SYSTEMS
+        }
         for _ in range(args.rounds)
     ]
     lines = []
     for name in SYSTEMS:
         rates = [one[name]["steps_s"] for one in rounds]
         ratios = [one["DynahoiVectorEnv"]["steps_s"] / one[name]["steps_s"] for one in rounds]
-        line = {"num_envs": num_envs, "system": name, "steps_s": statistics.median(rates), "rates": rates}
+        line = {
+            "num_envs": num_envs,
+            "system": name,
+            "steps_s": statistics.median(rates),
+            "rates": rates,
+        }
         lines.append(line | {"native_is_faster_by": statistics.median(ratios), "ratios": ratios})
-        print(f"N={num_envs:<3} {name:18} {statistics.median(rates):7.0f} steps/s   native / this {_range(ratios)}")
+        print(
+            f"N={num_envs:<3} {name:18} {statistics.median(rates):7.0f} steps/s   native / this "
+            f"{_range(ratios)}"
+        )
     return lines
 
 

@@ -1,10 +1,12 @@
-"""How well an eye sees where the target is: errors along and across the line of sight, by distance from the palm.
+"""How well an eye sees where the target is: errors along and across the line of sight, by distance
+from the palm.
 
-python benchmarks/eye.py --eye outputs/eye/eye.safetensors [--images 4096] [--camera side] [--json FILE]
-python benchmarks/eye.py --eye outputs/eye/eye.safetensors --visited-by checkpoints/obact_standard --episodes 110
+python benchmarks/eye.py --eye outputs/eye/eye.safetensors [--images 4096] [--camera side] [--json
+FILE] python benchmarks/eye.py --eye outputs/eye/eye.safetensors --visited-by
+checkpoints/obact_standard --episodes 110
 
-Random poses of episodes of a split that the eye was not trained on, or what the hand sees while a policy acts, until it
-could have met the target; only targets within the image count.
+Random poses of episodes of a split that the eye was not trained on, or what the hand sees while a
+policy acts, until it could have met the target; only targets within the image count.
 """
 
 from collections.abc import Iterator
@@ -44,7 +46,9 @@ def main() -> None:
     parser.add_argument("--images", type=int, default=8192)
     parser.add_argument("--batch-size", type=int, default=128)
     parser.add_argument("--image-size", type=int, default=96)
-    parser.add_argument("--visited-by", type=Path, help="checkpoint whose images are looked at, not random ones")
+    parser.add_argument(
+        "--visited-by", type=Path, help="checkpoint whose images are looked at, not random ones"
+    )
     args = parser.parse_args()
     torch.set_num_threads(1)
     views = () if args.camera == EGO_VIEW else (args.camera,)
@@ -52,7 +56,9 @@ def main() -> None:
     specs = sample_specs(recipe, range(args.episodes))
     eye = Eye(weights=args.eye).eval()
     eye.load_pretrained()
-    eye_recipe = PretrainRecipe(Path(), args.camera, episodes=recipe, n_episodes=1, batch_size=1, images=1)
+    eye_recipe = PretrainRecipe(
+        Path(), args.camera, episodes=recipe, n_episodes=1, batch_size=1, images=1
+    )
     pose, (focal_px, _, centre_px, _) = calibration(eye_recipe)
     camera = Pinhole.from_pose(pose.tolist(), centre_px / focal_px, carried=args.camera == EGO_VIEW)
     batch = WorldBatch(recipe, args.batch_size, threads=1)
@@ -65,27 +71,39 @@ def main() -> None:
     for row in rows:
         along, across = row["along_cm"], row["across_cm"]
         told = f"{along[0]:5.1f} ({along[1]:5.1f}) / {across[0]:5.2f} ({across[1]:5.2f})"
-        print(f"{row['from_cm']:5.0f} to {row['to_cm'] or np.inf:4.0f} {row['images']:9d}      {told}")
+        print(
+            f"{row['from_cm']:5.0f} to {row['to_cm'] or np.inf:4.0f} {row['images']:9d}      {told}"
+        )
     write_numbers(args, rows=rows)
 
 
-def _visited(policy: PolicyAgent, recipe: Recipe, specs: list[EpisodeSpec], camera: str) -> Iterator[Snapshots]:
-    """Let a policy play each episode in a world of its own, and yield what it sees while it acts."""
+def _visited(
+    policy: PolicyAgent, recipe: Recipe, specs: list[EpisodeSpec], camera: str
+) -> Iterator[Snapshots]:
+    """Let a policy play each episode in a world of its own, and yield what it sees while it
+    acts.
+    """
     batch = WorldBatch(recipe, len(specs), threads=1)
     session = Session(batch, record_images=False)
     session.begin(np.arange(len(specs)), [Job.evaluation(i, spec) for i, spec in enumerate(specs)])
     policy.reset(len(specs))
-    window, meeting = (np.array([getattr(s, name) for s in specs]) for name in ("window_frames", "intercept_frame"))
+    window, meeting = (
+        np.array([getattr(s, name) for s in specs]) for name in ("window_frames", "intercept_frame")
+    )
     before, frame = None, 0
     while session.playing.size:
         observation = session.observe(images=True)
         now = observation.images[camera].copy()
-        acting = np.isin(np.arange(len(specs)), session.playing) & (frame >= window) & (frame < meeting)
+        acting = (
+            np.isin(np.arange(len(specs)), session.playing) & (frame >= window) & (frame < meeting)
+        )
         if before is not None and acting.any():
             target = batch.target_pose[:, :PALM_DOF]
             from_palm = target - observation.state[:, :PALM_DOF]
             place = (from_palm if camera == EGO_VIEW else target).astype(np.float32)
-            yield Snapshots(np.concatenate([now, before], axis=-1)[acting], place[acting], from_palm[acting])
+            yield Snapshots(
+                np.concatenate([now, before], axis=-1)[acting], place[acting], from_palm[acting]
+            )
         terminated, truncated = session.step(policy.act(observation))
         for i in np.flatnonzero(terminated | truncated):
             session.finish(int(i), policy.name)
@@ -94,7 +112,9 @@ def _visited(policy: PolicyAgent, recipe: Recipe, specs: list[EpisodeSpec], came
 
 @torch.no_grad()
 def _errors(eye: Eye, camera: Pinhole, shown: Snapshots) -> np.ndarray:
-    """Return (n, 3): distance from the palm, error along and across the line of sight [m] of targets in the image."""
+    """Return (n, 3): distance from the palm, error along and across the line of sight [m] of
+    targets in the image.
+    """
     place = torch.from_numpy(shown.place)
     sighting = eye(rearrange(torch.from_numpy(shown.images), "f h w c -> f c h w") / 255.0)
     sight = torch.nn.functional.normalize(place - camera.pos, dim=-1)

@@ -1,14 +1,18 @@
-"""Frames per second of generation, end to end: ours against the loop that a LeRobot user would write.
+"""Frames per second of generation, end to end: ours against the loop that a LeRobot user would
+write.
 
-python benchmarks/generate.py [--episodes 2048] [--image-size 128] [--rounds 2] [--device cpu] [--json FILE]
+python benchmarks/generate.py [--episodes 2048] [--image-size 128] [--rounds 2] [--device cpu]
+[--json FILE]
 
-End to end means simulated, rendered, encoded, with statistics, on disk as a LeRobotDataset. All play the same seeds in
-the same scene with the same expert, on as many processes; rounds take turns (A B C, A B C), and each measurement is a
-process of its own. The plain loop is measured as fast as it can be, and with shadows and multisampling, as MuJoCo draws
-by default. Ours is told apart into start-up, until the first episode is written, and the steady state after it, which
-is compared with the limit of its stages: the rate at which all cores would simulate, render and encode each frame, and
-do nothing else. Then the stages are measured alone, on all cores, and the shares of one process profiled.
-With ``--device cuda`` pictures are drawn there (one process, all cores for physics and the encoder).
+End to end means simulated, rendered, encoded, with statistics, on disk as a LeRobotDataset. All
+play the same seeds in the same scene with the same expert, on as many processes; rounds take turns
+(A B C, A B C), and each measurement is a process of its own. The plain loop is measured as fast as
+it can be, and with shadows and multisampling, as MuJoCo draws by default. Ours is told apart into
+start-up, until the first episode is written, and the steady state after it, which is compared with
+the limit of its stages: the rate at which all cores would simulate, render and encode each frame,
+and do nothing else. Then the stages are measured alone, on all cores, and the shares of one process
+profiled. With ``--device cuda`` pictures are drawn there (one process, all cores for physics and
+the encoder).
 """
 
 import argparse
@@ -28,7 +32,14 @@ from support.stages import stage_shares, stages_alone
 from dynahoi_lerobot.sampling.recipe import Recipe
 
 FIRST_SEED = 0
-TINY = {"episodes": 2, "plain_episodes": 1, "processes": 1, "rounds": 1, "image_size": 32, "stage_episodes": 1}
+TINY = {
+    "episodes": 2,
+    "plain_episodes": 1,
+    "processes": 1,
+    "rounds": 1,
+    "image_size": 32,
+    "stage_episodes": 1,
+}
 SYSTEMS = ("ours", "plain", "plain_shadows")
 
 
@@ -38,7 +49,9 @@ def ours(episodes: int, image_size: int, processes: int) -> dict[str, float]:
     from dynahoi_lerobot.generate.plan import GenerationPlan, shard_size
     from dynahoi_lerobot.rollout.loop import record
 
-    plan = GenerationPlan(Recipe(image_size=image_size), episodes, FIRST_SEED, shard_episodes=shard_size(episodes))
+    plan = GenerationPlan(
+        Recipe(image_size=image_size), episodes, FIRST_SEED, shard_episodes=shard_size(episodes)
+    )
     first: list[tuple[float, int]] = []
 
     def note_first(done: int) -> None:
@@ -48,18 +61,25 @@ def ours(episodes: int, image_size: int, processes: int) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
         begin = time.perf_counter()
         play = partial(record, threads=1 if processes > 1 else 0)
-        manifest = generate(plan, Path(folder) / "dataset", record=play, workers=processes, progress=note_first)
+        manifest = generate(
+            plan, Path(folder) / "dataset", record=play, workers=processes, progress=note_first
+        )
         (started, done), end = first[0], time.perf_counter()
         steady = manifest.frames * (1 - done / episodes) / (end - started)
         return {
-            "frames_s": manifest.frames / (end - begin), "startup_s": started - begin, "steady_frames_s": steady,
-        }  # fmt: skip
+            "frames_s": manifest.frames / (end - begin),
+            "startup_s": started - begin,
+            "steady_frames_s": steady,
+        }
 
 
 def theirs(episodes: int, image_size: int, processes: int, *, shadows: bool) -> dict[str, float]:
     """Record the same seeds with one plain env and one LeRobotDataset per process."""
     recipe, share = Recipe(image_size=image_size), -(-episodes // processes)
-    seeds = [list(range(k, min(k + share, FIRST_SEED + episodes))) for k in range(FIRST_SEED, episodes, share)]
+    seeds = [
+        list(range(k, min(k + share, FIRST_SEED + episodes)))
+        for k in range(FIRST_SEED, episodes, share)
+    ]
     with tempfile.TemporaryDirectory() as folder:
         with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
             roots = [Path(folder) / str(k) for k in range(len(seeds))]
@@ -68,8 +88,12 @@ def theirs(episodes: int, image_size: int, processes: int, *, shadows: bool) -> 
         return {"frames_s": sum(frames) / max(seconds)}
 
 
-def _record_plainly(recipe: Recipe, shadows: bool, root: Path, seeds: list[int]) -> tuple[int, float]:
-    """Return frames and seconds; imports do not count, as fewer episodes have to carry them than in ours."""
+def _record_plainly(
+    recipe: Recipe, shadows: bool, root: Path, seeds: list[int]
+) -> tuple[int, float]:
+    """Return frames and seconds; imports do not count, as fewer episodes have to carry them than in
+    ours.
+    """
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # the encoder reports on every episode
     from lerobot.datasets import lerobot_dataset  # noqa: F401
     from support.straightforward import record
@@ -83,9 +107,13 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=2048)
     parser.add_argument("--image-size", type=int, default=128)
     parser.add_argument("--rounds", type=int, default=2)
-    parser.add_argument("--processes", type=int, default=os.cpu_count(), help="of either system on the CPU")
+    parser.add_argument(
+        "--processes", type=int, default=os.cpu_count(), help="of either system on the CPU"
+    )
     parser.add_argument("--plain-episodes", type=int, default=24, help="episodes of the plain loop")
-    parser.add_argument("--stage-episodes", type=int, default=96, help="episodes in which stages are measured")
+    parser.add_argument(
+        "--stage-episodes", type=int, default=96, help="episodes in which stages are measured"
+    )
     parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu")
     args = parser.parse_args()
     if args.device == "cpu":
@@ -93,14 +121,27 @@ def main() -> None:
     else:
         args.processes = 1
     rounds = compare(args)
-    alone, shares = stages_alone(args.image_size), stage_shares(args.image_size, args.stage_episodes)
+    alone, shares = (
+        stages_alone(args.image_size),
+        stage_shares(args.image_size, args.stage_episodes),
+    )
     _print_stages(alone, shares)
     limit, steady = (
         1 / sum(1 / rate for rate in alone.values()),
         statistics.median(r["ours_steady_frames_s"] for r in rounds),
     )
-    print(f"steady state {steady:.0f} frames/s, limit of the stages {limit:.0f} frames/s: {steady / limit:.2f} of it")
-    write_numbers(args, rounds=rounds, alone=alone, shares=shares, limit_frames_s=limit, share_of_limit=steady / limit)
+    print(
+        f"steady state {steady:.0f} frames/s, limit of the stages {limit:.0f} frames/s: "
+        f"{steady / limit:.2f} of it"
+    )
+    write_numbers(
+        args,
+        rounds=rounds,
+        alone=alone,
+        shares=shares,
+        limit_frames_s=limit,
+        share_of_limit=steady / limit,
+    )
 
 
 def compare(args: argparse.Namespace) -> list[dict[str, float]]:
@@ -116,7 +157,9 @@ def compare(args: argparse.Namespace) -> list[dict[str, float]]:
             line |= {f"{name}_{key}": value for key, value in result.items()}
         rounds.append(line)
     for name in SYSTEMS[1:]:
-        ratio = statistics.median(line["ours_frames_s"] / line[f"{name}_frames_s"] for line in rounds)
+        ratio = statistics.median(
+            line["ours_frames_s"] / line[f"{name}_frames_s"] for line in rounds
+        )
         print(f"ours against {name}, median of {len(rounds)}: {ratio:.2f}")
     return rounds
 

@@ -1,9 +1,11 @@
-"""Write tests/sampling/benchmark_digests.json: what the benchmark's version promises, as digests; or compare with it.
+"""Write tests/sampling/benchmark_digests.json: what the benchmark's version promises, as digests;
+or compare with it.
 
 python benchmarks/pin.py [--check] [--out tests/sampling/benchmark_digests.json] [--json FILE]
 
-Pinned are the definition (`sampling/benchmark.py`), the specs of every seed of all splits (of ``train`` the first 220),
-and images of the default renderer at 64 px. A digest that changes is a new version of the benchmark.
+Pinned are the definition (`sampling/benchmark.py`), the specs of every seed of all splits (of
+``train`` the first 220), and images of the default renderer at 64 px. A digest that changes is a
+new version of the benchmark.
 """
 
 import hashlib
@@ -33,7 +35,8 @@ IMAGE_EPISODES = 4
 """Of each split, at seeds of its own, so that all of them together have every kind of motion."""
 IMAGE_PX, IMAGE_STRIDE = 64, 5
 DECIMALS = 6
-"""Lengths [m], times [s] and angles [rad] are pinned to a millionth, so that compilers may round differently."""
+"""Lengths [m], times [s] and angles [rad] are pinned to a millionth, so that compilers may round
+differently."""
 ACROSS = 11
 """Digests in a line of the file."""
 TINY = {"out": Path("digests.json"), "seeds": 2, "with_images": 1}
@@ -43,7 +46,9 @@ Pinned = dict[str, Any]
 
 
 class Closing(SingleWorldExpert):
-    """Moves forwards at 0.1 m/s and closes over 30 frames, whatever the target does; it changes with no expert."""
+    """Moves forwards at 0.1 m/s and closes over 30 frames, whatever the target does; it changes
+    with no expert.
+    """
 
     name = "closing"
 
@@ -57,10 +62,14 @@ def main() -> int:
     parser = benchmark_parser(__doc__, **TINY)
     parser.add_argument("--out", type=Path, default=DIGESTS)
     parser.add_argument(
-        "--check", action="store_true", help="write nothing; compare with the file and exit 1 if it differs"
+        "--check",
+        action="store_true",
+        help="write nothing; compare with the file and exit 1 if it differs",
     )
     parser.add_argument("--seeds", type=int, help="pin no more than the first seeds of each split")
-    parser.add_argument("--with-images", type=int, default=IMAGE_EPISODES, help="episodes of each split with images")
+    parser.add_argument(
+        "--with-images", type=int, default=IMAGE_EPISODES, help="episodes of each split with images"
+    )
     args = parser.parse_args()
     found = pin(args.seeds, args.with_images)
     write_numbers(args, specs=sum(map(len, found["specs"].values())), images=len(found["images"]))
@@ -78,9 +87,13 @@ def pin(seeds: int | None = None, with_images: int = IMAGE_EPISODES) -> Pinned:
     return {
         "version": BENCHMARK.version,
         "definition": definition(),
-        "specs": {split: spec_digests(split, pinned_seeds(split)[:seeds]) for split in BENCHMARK.streams},
+        "specs": {
+            split: spec_digests(split, pinned_seeds(split)[:seeds]) for split in BENCHMARK.streams
+        },
         "images": {
-            name: digest for split in BENCHMARK.streams for name, digest in image_digests(split, with_images).items()
+            name: digest
+            for split in BENCHMARK.streams
+            for name, digest in image_digests(split, with_images).items()
         },
     }
 
@@ -106,7 +119,9 @@ def spec_digest(spec: EpisodeSpec) -> str:
     return _digest(_content(spec))[:8]
 
 
-def image_digests(split: str, count: int = IMAGE_EPISODES, *, batch_size: int = 4, threads: int = 0) -> dict[str, str]:
+def image_digests(
+    split: str, count: int = IMAGE_EPISODES, *, batch_size: int = 4, threads: int = 0
+) -> dict[str, str]:
     """Return a digest of the images of the first of ``IMAGE_EPISODES`` episodes, by ``split/seed``.
 
     Of every fifth frame in which a hand moves forwards and closes, from the hand's camera, 64 px.
@@ -115,14 +130,21 @@ def image_digests(split: str, count: int = IMAGE_EPISODES, *, batch_size: int = 
     first = IMAGE_EPISODES * BENCHMARK.streams.index(split)
     specs = sample_specs(recipe, range(first, first + count), threads=threads)
     episodes = evaluate(WorldBatch(recipe, batch_size, threads), Closing(), specs, images=True)
-    pixels = {f"{split}/{episode.meta.seed}": episode.images["ego"][::IMAGE_STRIDE] for episode in episodes}
-    return {name: hashlib.sha256(pixels[name].tobytes()).hexdigest()[:16] for name in sorted(pixels)}
+    pixels = {
+        f"{split}/{episode.meta.seed}": episode.images["ego"][::IMAGE_STRIDE]
+        for episode in episodes
+    }
+    return {
+        name: hashlib.sha256(pixels[name].tobytes()).hexdigest()[:16] for name in sorted(pixels)
+    }
 
 
 def read(path: Path = DIGESTS) -> Pinned:
     """Return the digests of a file."""
     pinned = json.loads(path.read_text())
-    specs = {split: dict(enumerate(" ".join(lines).split())) for split, lines in pinned["specs"].items()}
+    specs = {
+        split: dict(enumerate(" ".join(lines).split())) for split, lines in pinned["specs"].items()
+    }
     return pinned | {"specs": specs}
 
 
@@ -146,7 +168,9 @@ def _differing(noun: str, found: Mapping[Any, str], wanted: Mapping[Any, str]) -
 def _in_lines(pinned: Pinned) -> Pinned:
     """Join the digests of specs, whose seeds count from 0, to lines."""
     specs = {
-        split: [" ".join(list(digests.values())[i : i + ACROSS]) for i in range(0, len(digests), ACROSS)]
+        split: [
+            " ".join(list(digests.values())[i : i + ACROSS]) for i in range(0, len(digests), ACROSS)
+        ]
         for split, digests in pinned["specs"].items()
     }
     return pinned | {"specs": specs}
@@ -171,7 +195,9 @@ def _rounded(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return _rounded(value.tolist())
     if isinstance(value, dict):
-        return {key: _rounded(entry) for key, entry in value.items() if entry is not None}  # parts that it lacks
+        return {
+            key: _rounded(entry) for key, entry in value.items() if entry is not None
+        }  # parts that it lacks
     if isinstance(value, list | tuple):
         return [_rounded(entry) for entry in value]
     return _rounded(vars(value)) if hasattr(value, "__dict__") else value

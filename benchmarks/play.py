@@ -3,8 +3,8 @@
     python benchmarks/play.py --episodes 20 --screenshots pictures
     python benchmarks/play.py --episodes 1 --film docs/images/play.gif
 
-The pointer is moved and keys are pressed through the DevTools protocol, so that everything between a person's hand and
-the world is in it. Chromium is Debian's package `chromium`.
+The pointer is moved and keys are pressed through the DevTools protocol, so that everything between
+a person's hand and the world is in it. Chromium is Debian's package `chromium`.
 """
 
 import argparse
@@ -73,17 +73,24 @@ class Tab:
             elif answer.get("method") == "Page.screencastFrame":
                 told = answer["params"]
                 self._filmed.append((told["metadata"]["timestamp"], base64.b64decode(told["data"])))
-                acknowledged = {"method": "Page.screencastFrameAck", "params": {"sessionId": told["sessionId"]}}
+                acknowledged = {
+                    "method": "Page.screencastFrameAck",
+                    "params": {"sessionId": told["sessionId"]},
+                }
                 await self._socket.send_str(json.dumps({"id": 0, **acknowledged}))
 
     async def call(self, method: str, **parameters: Any) -> Any:
         self._number += 1
         waiting = self._answers[self._number] = asyncio.get_running_loop().create_future()
-        await self._socket.send_str(json.dumps({"id": self._number, "method": method, "params": parameters}))
+        await self._socket.send_str(
+            json.dumps({"id": self._number, "method": method, "params": parameters})
+        )
         return (await waiting)["result"]
 
     async def value(self, expression: str) -> Any:
-        return (await self.call("Runtime.evaluate", expression=expression, returnByValue=True))["result"].get("value")
+        return (await self.call("Runtime.evaluate", expression=expression, returnByValue=True))[
+            "result"
+        ].get("value")
 
     async def until(self, expression: str, seconds: float = 60.0) -> None:
         async with asyncio.timeout(seconds):
@@ -93,7 +100,10 @@ class Tab:
     async def press(self, keys: set[str], held: set[str]) -> None:
         """Let ``keys`` be down, by their codes, of which some are ``held`` so far."""
         for code in keys ^ held:
-            name, kind = " " if code == "Space" else code[-1].lower(), "keyDown" if code in keys else "keyUp"
+            name, kind = (
+                " " if code == "Space" else code[-1].lower(),
+                "keyDown" if code in keys else "keyUp",
+            )
             await self.call("Input.dispatchKeyEvent", type=kind, code=code, key=name)
 
     async def _resize(self, width: int, height: int) -> None:
@@ -104,9 +114,14 @@ class Tab:
         """Take pictures of the whole page in all widths, light and dark."""
         for width, scheme in product(WIDTHS_PX, ("light", "dark")):
             await self._resize(width, 900)
-            await self.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+            await self.call(
+                "Emulation.setEmulatedMedia",
+                features=[{"name": "prefers-color-scheme", "value": scheme}],
+            )
             await asyncio.sleep(0.3)
-            told = await self.call("Page.captureScreenshot", format="png", captureBeyondViewport=True)
+            told = await self.call(
+                "Page.captureScreenshot", format="png", captureBeyondViewport=True
+            )
             (folder / f"{name}_{width}_{scheme}.png").write_bytes(base64.b64decode(told["data"]))
         await self.call("Emulation.clearDeviceMetricsOverride")
 
@@ -118,9 +133,18 @@ class Tab:
         await asyncio.sleep(RESULT_S)
         await self.call("Page.stopScreencast")
         times_s = np.array([time_s for time_s, _ in self._filmed])
-        shown = np.searchsorted(times_s, np.arange(times_s[0], times_s[-1], 1 / FILM_FPS), side="right") - 1
-        frames = [np.asarray(Image.open(io.BytesIO(self._filmed[i][1])).convert("RGB")) for i in shown]
-        write_gif(path, np.stack([frame for frame in frames if frame.shape == frames[-1].shape]), fps=FILM_FPS)
+        shown = (
+            np.searchsorted(times_s, np.arange(times_s[0], times_s[-1], 1 / FILM_FPS), side="right")
+            - 1
+        )
+        frames = [
+            np.asarray(Image.open(io.BytesIO(self._filmed[i][1])).convert("RGB")) for i in shown
+        ]
+        write_gif(
+            path,
+            np.stack([frame for frame in frames if frame.shape == frames[-1].shape]),
+            fps=FILM_FPS,
+        )
 
 
 @asynccontextmanager
@@ -128,7 +152,9 @@ async def chromium(address: str):
     """Open a page in a new Chromium and yield its tab."""
     program = shutil.which("chromium") or shutil.which("google-chrome")
     if program is None:
-        raise SystemExit("there is no chromium on this machine; install Debian's package `chromium`")
+        raise SystemExit(
+            "there is no chromium on this machine; install Debian's package `chromium`"
+        )
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         options = [*FLAGS, f"--user-data-dir={profile}", "--window-size=1280,960", address]
         process = subprocess.Popen([program, *options], stderr=subprocess.DEVNULL)
@@ -139,9 +165,13 @@ async def chromium(address: str):
                     await asyncio.sleep(0.1)
             port = port_file.read_text().split()[0]
             async with aiohttp.ClientSession() as session:
-                pages = await (await session.get(f"http://127.0.0.1:{port}/json")).json(content_type=None)
+                pages = await (await session.get(f"http://127.0.0.1:{port}/json")).json(
+                    content_type=None
+                )
                 [page] = [page for page in pages if page["type"] == "page"]
-                async with session.ws_connect(page["webSocketDebuggerUrl"], max_msg_size=0) as socket:
+                async with session.ws_connect(
+                    page["webSocketDebuggerUrl"], max_msg_size=0
+                ) as socket:
                     yield Tab(socket)
         finally:
             process.kill()
@@ -150,7 +180,10 @@ async def chromium(address: str):
 
 async def follow_expert(tab: Tab, world: LiveWorld) -> None:
     """Move pointer and keys along the expert's path until the episode is over."""
-    corners = "(b => [b.left, b.top, b.width, b.height])(document.getElementById('view').getBoundingClientRect())"
+    corners = (
+        "(b => [b.left, b.top, b.width, "
+        "b.height])(document.getElementById('view').getBoundingClientRect())"
+    )
     box = await tab.value(corners)
     model, hand = world.batch.scene.model, world.batch.scene.hand
     axes = quat_to_matrix(camera_pose(model, EGO_VIEW)[3:])
@@ -163,7 +196,9 @@ async def follow_expert(tab: Tab, world: LiveWorld) -> None:
         place = {"x": box[0] + (x + 1) / 2 * box[2], "y": box[1] + (1 - y) / 2 * box[3]}
         await tab.call("Input.dispatchMouseEvent", type="mouseMoved", **place)
         keys = {"KeyW"} if back < -DEADBAND_M else {"KeyS"} if back > DEADBAND_M else set()
-        keys |= {"Space"} if np.abs(goal[PALM_DOF:] - hand.open_joints()).max() > CLOSED_RAD else set()
+        keys |= (
+            {"Space"} if np.abs(goal[PALM_DOF:] - hand.open_joints()).max() > CLOSED_RAD else set()
+        )
         await tab.press(keys, held)
         held = keys
         await asyncio.sleep(CONTROL_DT / 2)
@@ -173,7 +208,9 @@ async def follow_expert(tab: Tab, world: LiveWorld) -> None:
 async def played(args: argparse.Namespace) -> dict[str, Any]:
     """Play the episodes; return the figures."""
     recipe = Recipe(split="val", image_size=192)
-    world, practice = (LiveWorld(rules, record_images=True) for rules in (recipe, replace(recipe, split="train")))
+    world, practice = (
+        LiveWorld(rules, record_images=True) for rules in (recipe, replace(recipe, split="train"))
+    )
     episodes: list[Episode] = []
     game = Game(
         world,
@@ -206,7 +243,8 @@ async def played(args: argparse.Namespace) -> dict[str, Any]:
             await tab.film(args.film, follow_expert(tab, practice))
     server.cancel()
     rates = {
-        name: float(np.mean([measure(episode)[name] or 0 for episode in episodes])) for name in ("S_loc", "S_joint")
+        name: float(np.mean([measure(episode)[name] or 0 for episode in episodes]))
+        for name in ("S_loc", "S_joint")
     }
     return {"episodes": len(episodes), **rates, **figures, "load": os.getloadavg()[0]}
 

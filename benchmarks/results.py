@@ -1,11 +1,14 @@
-"""Rebuild a table of learned policies in docs/results.md: generate, train and evaluate every row, and print it.
+"""Rebuild a table of learned policies in docs/results.md: generate, train and evaluate every row,
+and print it.
 
-python benchmarks/results.py [--rows benchmarks/results.yaml] [--only "ObAct" ...] [--root outputs/results]
-    [--split test] [--episodes N] [--salt SALT] [--workers 2] [--dry-run] [--json docs/figures/policies.json] [--tiny]
+python benchmarks/results.py [--rows benchmarks/results.yaml] [--only "ObAct" ...] [--root
+outputs/results]
+    [--split test] [--episodes N] [--salt SALT] [--workers 2] [--dry-run] [--json
+    docs/figures/policies.json] [--tiny]
 
-The rows name the recipes and the options that they change; benchmarks/ablations.yaml holds the ablations. What is
-already in the root is not done again, so the same command resumes a run that was stopped. ``--json`` replaces the rows
-that were run in that file.
+The rows name the recipes and the options that they change; benchmarks/ablations.yaml holds the
+ablations. What is already in the root is not done again, so the same command resumes a run that was
+stopped. ``--json`` replaces the rows that were run in that file.
 """
 
 import json
@@ -54,7 +57,8 @@ class Row:
         train: options that change the recipe.
         evaluate: options of the evaluation.
         seeds: training seeds 0, 1, ..., so many.
-        against: name of an earlier row, from whose seed 0 the difference in S_loc is told, paired by episode.
+        against: name of an earlier row, from whose seed 0 the difference in S_loc is told, paired
+            by episode.
     """
 
     name: str
@@ -91,22 +95,47 @@ class Plan:
     salt: str
 
     def commands(self, row: Row, seed: int) -> dict[Path, list[str]]:
-        """Return the commands of a row in their order, each with the folder that it fills: data, training, results."""
+        """Return the commands of a row in their order, each with the folder that it fills: data,
+        training, results.
+        """
         run = f"{re.sub('[^a-z0-9]+', '_', row.name.lower()).strip('_')}-{seed}"
         data, training = self.root / "data" / row.dataset, self.root / "training" / run
         dataset = self.datasets[row.dataset]
         limit = ["--episodes", str(self.episodes)] if self.episodes else []
         options = shlex.split(f"{row.train} {self.train}")
-        evaluate = ["dynahoi", "evaluate", "--policy", str(training / "checkpoints/last/pretrained_model"),
-                    "--split", self.split, *limit, *shlex.split(row.evaluate)]  # fmt: skip
+        evaluate = [
+            "dynahoi",
+            "evaluate",
+            "--policy",
+            str(training / "checkpoints/last/pretrained_model"),
+            "--split",
+            self.split,
+            *limit,
+            *shlex.split(row.evaluate),
+        ]
         results, salted = self.root / self.split / run, self.root / f"{self.split}_salted" / run
         return {
-            data: ["dynahoi", "generate", *shlex.split(dataset["options"]), "--workers", str(self.workers),
-                   "--episodes", str(self.generate or dataset["episodes"]), "--root", str(data)],
-            training: ["lerobot-train", f"--config_path={row.recipe}", f"--dataset.root={data}",
-                       f"--output_dir={training}", f"--seed={seed}", *options],
+            data: [
+                "dynahoi",
+                "generate",
+                *shlex.split(dataset["options"]),
+                "--workers",
+                str(self.workers),
+                "--episodes",
+                str(self.generate or dataset["episodes"]),
+                "--root",
+                str(data),
+            ],
+            training: [
+                "lerobot-train",
+                f"--config_path={row.recipe}",
+                f"--dataset.root={data}",
+                f"--output_dir={training}",
+                f"--seed={seed}",
+                *options,
+            ],
             results: [*evaluate, "--out", str(results)],
-        } | ({salted: [*evaluate, "--out", str(salted), "--salt", self.salt]} if self.salt else {})  # fmt: skip
+        } | ({salted: [*evaluate, "--out", str(salted), "--salt", self.salt]} if self.salt else {})
 
 
 def main() -> None:
@@ -116,10 +145,24 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", help="names of rows; all by default")
     parser.add_argument("--root", type=Path, default=Path("outputs/results"))
     parser.add_argument("--split", default="test")
-    parser.add_argument("--episodes", type=int, default=0, help="of each evaluation; all of the split by default")
-    parser.add_argument("--salt", default="", help="also evaluate as many episodes of the stream with this salt")
-    parser.add_argument("--seeds", type=int, default=0, help="training seeds of each row; as the file says by default")
-    parser.add_argument("--generate", type=int, default=0, help="episodes of each dataset; as the file says by default")
+    parser.add_argument(
+        "--episodes", type=int, default=0, help="of each evaluation; all of the split by default"
+    )
+    parser.add_argument(
+        "--salt", default="", help="also evaluate as many episodes of the stream with this salt"
+    )
+    parser.add_argument(
+        "--seeds",
+        type=int,
+        default=0,
+        help="training seeds of each row; as the file says by default",
+    )
+    parser.add_argument(
+        "--generate",
+        type=int,
+        default=0,
+        help="episodes of each dataset; as the file says by default",
+    )
     parser.add_argument("--train", default="", help="options added to every training")
     parser.add_argument("--workers", type=int, default=2, help="processes that generate")
     parser.add_argument("--dry-run", action="store_true", help="print the commands and stop")
@@ -127,8 +170,14 @@ def main() -> None:
     table = yaml.safe_load(args.rows.read_text())
     rows = [Row(**row) for row in table["rows"]]
     if unknown := set(args.only or []) - {row.name for row in rows}:
-        parser.error(f"--only has {', '.join(sorted(unknown))}, but the rows are {', '.join(row.name for row in rows)}")
-    options = {name: getattr(args, name) for name in ("workers", "split", "generate", "train", "episodes", "salt")}
+        parser.error(
+            f"--only has {', '.join(sorted(unknown))}, but the rows are "
+            f"{', '.join(row.name for row in rows)}"
+        )
+    options = {
+        name: getattr(args, name)
+        for name in ("workers", "split", "generate", "train", "episodes", "salt")
+    }
     plan = Plan(args.root.resolve(), table["datasets"], **options)
     runs: dict[str, Results] = {}
     minutes, against = {}, {}
@@ -143,17 +192,25 @@ def main() -> None:
                     do(folder, command)
             _, training, *results = commands
             runs[f"{row.name}, seed {seed}"] = pooled(results)
-            minutes[f"{row.name}, seed {seed}"] = json.loads(done(training).read_text())["processor_minutes"]
+            minutes[f"{row.name}, seed {seed}"] = json.loads(done(training).read_text())[
+                "processor_minutes"
+            ]
             against[f"{row.name}, seed {seed}"] = runs.get(f"{row.against}, seed 0")
     if not args.dry_run:
         print(as_markdown(runs, minutes))
-        known = json.loads(args.json.read_text())["runs"] if args.json and args.json.exists() else {}
-        told = {name: figures(results, minutes[name], against[name]) for name, results in runs.items()}
+        known = (
+            json.loads(args.json.read_text())["runs"] if args.json and args.json.exists() else {}
+        )
+        told = {
+            name: figures(results, minutes[name], against[name]) for name, results in runs.items()
+        }
         write_numbers(args, runs=known | told)
 
 
 def pooled(folders: list[Path]) -> Results:
-    """Return the results of one policy in several folders, each of another stream of episodes, as one."""
+    """Return the results of one policy in several folders, each of another stream of episodes, as
+    one.
+    """
     first, *others = map(read_results, folders)
     for other in others:
         first = replace(first, rows=first.rows + other.rows, actions=first.actions + other.actions)
@@ -161,22 +218,37 @@ def pooled(folders: list[Path]) -> Results:
 
 
 def figures(results: Results, minutes: float, reference: Results | None = None) -> dict[str, Any]:
-    """Return what docs/figures tells of results; ``checkpoint`` is the one that ships with their weights.
+    """Return what docs/figures tells of results; ``checkpoint`` is the one that ships with their
+    weights.
 
     With a reference's results also how much higher S_loc is than theirs, paired by episode.
     """
     weights = results.info.extra[WEIGHTS]
-    shipped = [path.name for path in (REPOSITORY / "checkpoints").iterdir() if folder_weights(path) == weights]
+    shipped = [
+        path.name
+        for path in (REPOSITORY / "checkpoints").iterdir()
+        if folder_weights(path) == weights
+    ]
     told = {"checkpoint": shipped[0]} if shipped else {}
-    by_category = {name: asdict(summary["S_loc"]) for name, summary in results.by("category").items()}
+    by_category = {
+        name: asdict(summary["S_loc"]) for name, summary in results.by("category").items()
+    }
     metrics = {name: asdict(estimate) for name, estimate in results.summary.items()}
     stages = Counter(row["stage"] for row in results.rows)
-    ends = {name: sum(map(stages.__getitem__, parts)) / stages.total() for name, parts in ENDS.items()}
+    ends = {
+        name: sum(map(stages.__getitem__, parts)) / stages.total() for name, parts in ENDS.items()
+    }
     metrics |= {name: {"value": share, "unit": "fraction"} for name, share in ends.items()}
     difference = compare(results, reference, "S_loc") if reference else None
     paired = {"paired": asdict(difference)} if difference else {}
-    ran = provenance() | {"command": results.info.command, "benchmark": pinned_benchmark(), WEIGHTS: weights}
-    return told | ran | {"minutes": minutes, "metrics": metrics, "by_category": by_category} | paired
+    ran = provenance() | {
+        "command": results.info.command,
+        "benchmark": pinned_benchmark(),
+        WEIGHTS: weights,
+    }
+    return (
+        told | ran | {"minutes": minutes, "metrics": metrics, "by_category": by_category} | paired
+    )
 
 
 def done(folder: Path) -> Path:
@@ -203,7 +275,8 @@ def as_markdown(runs: dict[str, Results], minutes: dict[str, float]) -> str:
     """Return the table of results and minutes of training, both by the name of a run."""
     table = metrics_table(list(runs), list(runs.values()), MAIN_COLUMNS)
     rows = [
-        (*(f"{cell.text} {cell.detail}".strip() for cell in row), f"{minutes[row[0].text]:.0f}") for row in table.rows
+        (*(f"{cell.text} {cell.detail}".strip() for cell in row), f"{minutes[row[0].text]:.0f}")
+        for row in table.rows
     ]
     lines = [(*table.head, "min"), ("---",) * (len(table.head) + 1), *rows]
     return "\n".join([table.caption, "", *(f"| {' | '.join(line)} |" for line in lines)])

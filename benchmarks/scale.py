@@ -1,11 +1,13 @@
-"""How generation scales: with the size of the images, the number of episodes, datatrove's tasks, and with machines.
+"""How generation scales: with the size of the images, the number of episodes, datatrove's tasks,
+and with machines.
 
-python benchmarks/scale.py [--parts images episodes tasks machines] [--episodes 2048] [--counts 100 1000 10000]
+python benchmarks/scale.py [--parts images episodes tasks machines] [--episodes 2048] [--counts 100
+1000 10000]
                            [--image-sizes 96 128 256] [--workers 2] [--tasks 8] [--json FILE]
 
-Each dataset is made by a process of its own, from its start to statistics on disk. ``merge`` is the share of the time
-in which shards are merged. Two machines are two folders that are made one after the other and merged: the time is that
-of the slower one and of the merge.
+Each dataset is made by a process of its own, from its start to statistics on disk. ``merge`` is the
+share of the time in which shards are merged. Two machines are two folders that are made one after
+the other and merged: the time is that of the slower one and of the merge.
 """
 
 import argparse
@@ -26,7 +28,14 @@ from dynahoi_lerobot.generate.plan import GenerationPlan, ShardMaker
 from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.sampling.recipe import Recipe
 
-TINY = {"episodes": 2, "counts": [1], "image_sizes": [16], "image_size": 16, "workers": 1, "tasks": 2}
+TINY = {
+    "episodes": 2,
+    "counts": [1],
+    "image_sizes": [16],
+    "image_size": 16,
+    "workers": 1,
+    "tasks": 2,
+}
 MIB = 2**20
 
 
@@ -35,7 +44,9 @@ def made(
 ) -> dict[str, float]:
     """Make a dataset with ``workers`` processes, as ``tasks`` of datatrove if there are any."""
     shard_episodes = max(1, min(256, episodes // max(tasks, workers)))
-    plan = GenerationPlan(Recipe(image_size=image_size), episodes, seed, shard_episodes=shard_episodes)
+    plan = GenerationPlan(
+        Recipe(image_size=image_size), episodes, seed, shard_episodes=shard_episodes
+    )
     merge_s, merge_shards = 0.0, ShardMaker.merge
 
     def merge_timed(maker: ShardMaker, place: Path):
@@ -48,11 +59,24 @@ def made(
     begin = time.perf_counter()
     with mock.patch.object(ShardMaker, "merge", merge_timed):
         if tasks:
-            executors.run("local", plan, root, partial(record, threads=1), executors.ClusterResources(tasks, workers))
+            executors.run(
+                "local",
+                plan,
+                root,
+                partial(record, threads=1),
+                executors.ClusterResources(tasks, workers),
+            )
         else:
-            generate(plan, root, record=partial(record, threads=1 if workers > 1 else 0), workers=workers)
+            generate(
+                plan, root, record=partial(record, threads=1 if workers > 1 else 0), workers=workers
+            )
     seconds = time.perf_counter() - begin
-    return {"frames": _frames(plan, root), "seconds": seconds, "merge_s": merge_s, "mib": _mib(root)}
+    return {
+        "frames": _frames(plan, root),
+        "seconds": seconds,
+        "merge_s": merge_s,
+        "mib": _mib(root),
+    }
 
 
 def merged(roots: list[Path], output: Path) -> dict[str, float]:
@@ -71,7 +95,9 @@ def images(args: argparse.Namespace, folder: Path) -> dict[str, dict[str, float]
 
 def episodes(args: argparse.Namespace, folder: Path) -> dict[str, dict[str, float]]:
     return {
-        f"{count} episodes": measure_apart(made, folder / str(count), count, args.image_size, args.workers)
+        f"{count} episodes": measure_apart(
+            made, folder / str(count), count, args.image_size, args.workers
+        )
         for count in args.counts
     }
 
@@ -95,8 +121,13 @@ def machines(args: argparse.Namespace, folder: Path) -> dict[str, dict[str, floa
     ]
     both = measure_apart(merged, roots, folder / "both")
     total = {name: sum(part[name] for part in parts) for name in ("frames", "mib")}
-    seconds, peak = max(part["seconds"] for part in parts) + both["seconds"], max(p["peak_mb"] for p in (*parts, both))
-    return {"two machines": total | {"seconds": seconds, "merge_s": both["seconds"], "peak_mb": peak}}
+    seconds, peak = (
+        max(part["seconds"] for part in parts) + both["seconds"],
+        max(p["peak_mb"] for p in (*parts, both)),
+    )
+    return {
+        "two machines": total | {"seconds": seconds, "merge_s": both["seconds"], "peak_mb": peak}
+    }
 
 
 PARTS = {part.__name__: part for part in (images, episodes, tasks, machines)}
@@ -108,11 +139,15 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=2048)
     parser.add_argument("--counts", type=int, nargs="+", default=[100, 1000, 10_000])
     parser.add_argument("--image-sizes", type=int, nargs="+", default=[96, 128, 256])
-    parser.add_argument("--image-size", type=int, default=128, help="where the size is not what differs")
+    parser.add_argument(
+        "--image-size", type=int, default=128, help="where the size is not what differs"
+    )
     parser.add_argument("--workers", type=int, default=os.cpu_count(), help="processes")
     parser.add_argument("--tasks", type=int, default=8, help="of datatrove's local executor")
     args = parser.parse_args()
-    print("| | frames | seconds | frames/s | ms a frame | merge | largest process, MB | kB a frame |")
+    print(
+        "| | frames | seconds | frames/s | ms a frame | merge | largest process, MB | kB a frame |"
+    )
     print("|---|---|---|---|---|---|---|---|", flush=True)
     rows = {}
     for part in args.parts:
@@ -125,9 +160,12 @@ def main() -> None:
 
 def _line(name: str, row: dict[str, float]) -> str:
     frames, seconds = row["frames"], row["seconds"]
-    rates = f"{frames / seconds:.0f} | {1000 * seconds / frames:.2f} | {row['merge_s'] / seconds:.1%}"
+    rates = (
+        f"{frames / seconds:.0f} | {1000 * seconds / frames:.2f} | {row['merge_s'] / seconds:.1%}"
+    )
     return (
-        f"| {name} | {frames:.0f} | {seconds:.0f} | {rates} | {row['peak_mb']:.0f} | {1024 * row['mib'] / frames:.2f} |"
+        f"| {name} | {frames:.0f} | {seconds:.0f} | {rates} | {row['peak_mb']:.0f} | "
+        f"{1024 * row['mib'] / frames:.2f} |"
     )
 
 

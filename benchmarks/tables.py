@@ -1,9 +1,11 @@
-"""Write the measured figures of README and docs from docs/figures: python benchmarks/tables.py [--stale SENTENCE]
+"""Write the measured figures of README and docs from docs/figures: python benchmarks/tables.py
+[--stale SENTENCE]
 
-Benchmarks leave a JSON file there (`--json docs/figures/NAME.json`), with the command, commit, processor and, for
-scores, the pinned benchmark and the weights. A page shows the block NAME of docs/figures/tables.jinja between
-`<!-- figures: NAME -->` and `<!-- end of figures -->`. Figures of another benchmark or of other weights than today's
-must have a sentence under `stale`, which becomes a footnote. `--stale` gives it to all that lack one and need it.
+Benchmarks leave a JSON file there (`--json docs/figures/NAME.json`), with the command, commit,
+processor and, for scores, the pinned benchmark and the weights. A page shows the block NAME of
+docs/figures/tables.jinja between `<!-- figures: NAME -->` and `<!-- end of figures -->`. Figures of
+another benchmark or of other weights than today's must have a sentence under `stale`, which becomes
+a footnote. `--stale` gives it to all that lack one and need it.
 """
 
 import argparse
@@ -29,7 +31,9 @@ NOT_MEASURED = {"settings", "machine", "benchmark", "weights"}
 
 @dataclass(frozen=True)
 class Figure:
-    """A measured value, in % if it is a fraction, the ends of its interval if it has one, and its footnote."""
+    """A measured value, in % if it is a fraction, the ends of its interval if it has one, and its
+    footnote.
+    """
 
     value: float
     low: float | None = None
@@ -47,7 +51,9 @@ class Figure:
 
 
 def figures(node: Any, note: str = "") -> Any:
-    """Return what a file holds, with a ``Figure`` for every number; ``stale`` concerns all below it."""
+    """Return what a file holds, with a ``Figure`` for every number; ``stale`` concerns all below
+    it.
+    """
     if isinstance(node, list):
         return [figures(entry, note) for entry in node]
     if isinstance(node, int | float):
@@ -58,8 +64,12 @@ def figures(node: Any, note: str = "") -> Any:
     if "value" not in node:
         return {key: figures(entry, note) for key, entry in node.items() if key != "stale"}
     scale = 100 if node.get("unit") == "fraction" else 1
-    numbers = {name: scale * node[name] for name in ("value", "low", "high") if node.get(name) is not None}
-    return Figure(**numbers, note=note) if numbers else None  # no episode meets a metric's condition
+    numbers = {
+        name: scale * node[name] for name in ("value", "low", "high") if node.get(name) is not None
+    }
+    return (
+        Figure(**numbers, note=note) if numbers else None
+    )  # no episode meets a metric's condition
 
 
 def outdated(node: Any) -> Iterator[dict[str, Any]]:
@@ -76,7 +86,9 @@ def outdated(node: Any) -> Iterator[dict[str, Any]]:
 
 
 def unexplained(node: Any, where: str, known: frozenset[str] = frozenset()) -> Iterator[str]:
-    """Yield the places of numbers for which a file does not say the command, commit and processor."""
+    """Yield the places of numbers for which a file does not say the command, commit and
+    processor.
+    """
     if isinstance(node, dict):
         for key in node.keys() - NOT_MEASURED:
             yield from unexplained(node[key], f"{where}/{key}", known | node.keys())
@@ -86,7 +98,9 @@ def unexplained(node: Any, where: str, known: frozenset[str] = frozenset()) -> I
 
 def rendered(page: str, folder: Path = FIGURES) -> str:
     """Return the text of a page with the figures of a folder."""
-    jinja = Environment(loader=FileSystemLoader(folder), undefined=StrictUndefined, trim_blocks=True)
+    jinja = Environment(
+        loader=FileSystemLoader(folder), undefined=StrictUndefined, trim_blocks=True
+    )
     jinja.filters |= {"brief": Figure.brief, "show": Figure.show}
     template = jinja.get_template("tables.jinja")
     known = {path.stem: figures(json.loads(path.read_text())) for path in folder.glob("*.json")}
@@ -103,8 +117,12 @@ def rendered(page: str, folder: Path = FIGURES) -> str:
 
 def main() -> None:
     """Write all pages."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--stale", metavar="SENTENCE", help="footnote of all outdated figures that have none")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--stale", metavar="SENTENCE", help="footnote of all outdated figures that have none"
+    )
     args = parser.parse_args()
     for path in sorted(FIGURES.glob("*.json")) if args.stale else ():
         content = json.loads(path.read_text())

@@ -1,14 +1,16 @@
-"""Can the benchmark be solved without predicting? Baselines that do not, in the simulator, beside the expert.
+"""Can the benchmark be solved without predicting? Baselines that do not, in the simulator, beside
+the expert.
 
-python benchmarks/validity.py [--episodes 220] [--control standard late] [--hand opposed] [--json FILE]
-python benchmarks/validity.py --episodes 1000 --control standard late unlimited --json docs/figures/baselines.json
-python benchmarks/validity.py --search 1760 [--search-class unlimited] [--homes 8] [--save FILE]
-python benchmarks/validity.py --episodes 1000 --baselines --sightless 1760
+python benchmarks/validity.py [--episodes 220] [--control standard late] [--hand opposed] [--json
+FILE] python benchmarks/validity.py --episodes 1000 --control standard late unlimited --json
+docs/figures/baselines.json python benchmarks/validity.py --search 1760 [--search-class unlimited]
+[--homes 8] [--save FILE] python benchmarks/validity.py --episodes 1000 --baselines --sightless 1760
 
-Brackets are Wilson's 95 % intervals. --search looks for a better fixed path on that many episodes of train and prints
-what it would score on as many episodes that it has not seen and on the split. --homes K looks for K paths instead, one
-for each cluster of homes. --save writes what was found, in the format of experts/blind_path.csv or nearest_home.csv.
---sightless trains regressors on so many episodes of train, on what a policy sees but pictures.
+Brackets are Wilson's 95 % intervals. --search looks for a better fixed path on that many episodes
+of train and prints what it would score on as many episodes that it has not seen and on the split.
+--homes K looks for K paths instead, one for each cluster of homes. --save writes what was found, in
+the format of experts/blind_path.csv or nearest_home.csv. --sightless trains regressors on so many
+episodes of train, on what a policy sees but pictures.
 """
 
 import argparse
@@ -16,7 +18,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from support.fixed_paths import cluster, hits_by_cluster, homes_of, nearest, relative_paths, search_path
+from support.fixed_paths import (
+    cluster,
+    hits_by_cluster,
+    homes_of,
+    nearest,
+    relative_paths,
+    search_path,
+)
 from support.options import benchmark_parser, pinned_benchmark, write_numbers
 from support.sightless import FINENESS, FRAMES, WIDTH, Rate, rate, sightless
 
@@ -32,34 +41,71 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 
-BASELINES = ("hold", "blind_path", "nearest_home", "pursuit", "constant_velocity", "constant_acceleration", "intercept")
+BASELINES = (
+    "hold",
+    "blind_path",
+    "nearest_home",
+    "pursuit",
+    "constant_velocity",
+    "constant_acceleration",
+    "intercept",
+)
 WORLDS = 64
 
 
 def main() -> None:
-    parser = benchmark_parser(__doc__, episodes=22, control=["late"], baselines=["hold"], search=4, sightless=44)
+    parser = benchmark_parser(
+        __doc__, episodes=22, control=["late"], baselines=["hold"], search=4, sightless=44
+    )
     parser.add_argument("--episodes", type=int, default=220)
     parser.add_argument("--split", default="test")
-    parser.add_argument("--control", nargs="+", choices=list(CONTROL_CLASSES), default=["standard", "late"])
+    parser.add_argument(
+        "--control", nargs="+", choices=list(CONTROL_CLASSES), default=["standard", "late"]
+    )
     parser.add_argument("--baselines", nargs="*", choices=EXPERTS.names(), default=list(BASELINES))
-    parser.add_argument("--hand", choices=HANDS.names(), default="capsule", help="that plays the baselines")
-    parser.add_argument("--search", type=int, default=0, help="episodes of train to search a fixed path on; 0 for none")
-    parser.add_argument("--search-class", choices=list(CONTROL_CLASSES), default="standard", help="whose speed it has")
-    parser.add_argument("--homes", type=int, default=1, help="search a path for each of so many clusters of homes")
+    parser.add_argument(
+        "--hand", choices=HANDS.names(), default="capsule", help="that plays the baselines"
+    )
+    parser.add_argument(
+        "--search",
+        type=int,
+        default=0,
+        help="episodes of train to search a fixed path on; 0 for none",
+    )
+    parser.add_argument(
+        "--search-class",
+        choices=list(CONTROL_CLASSES),
+        default="standard",
+        help="whose speed it has",
+    )
+    parser.add_argument(
+        "--homes", type=int, default=1, help="search a path for each of so many clusters of homes"
+    )
     parser.add_argument("--save", type=Path, help="file for what was found")
-    parser.add_argument("--sightless", type=int, default=0, help="episodes that regressors learn from; 0 for none")
+    parser.add_argument(
+        "--sightless", type=int, default=0, help="episodes that regressors learn from; 0 for none"
+    )
     args = parser.parse_args()
     specs = sample_specs(Recipe(split=args.split), range(args.episodes), threads=0)
     found = search(args, specs) if args.search else {}
-    learned = sightless(sample_specs(Recipe(), range(args.sightless), threads=0), specs) if args.sightless else {}
+    learned = (
+        sightless(sample_specs(Recipe(), range(args.sightless), threads=0), specs)
+        if args.sightless
+        else {}
+    )
     tables = {
-        control: {name: play(control, name, specs, args.hand) for name in args.baselines} for control in args.control
+        control: {name: play(control, name, specs, args.hand) for name in args.baselines}
+        for control in args.control
     }
-    write_numbers(args, benchmark=pinned_benchmark(), classes=tables, found=found, sightless=learned)
+    write_numbers(
+        args, benchmark=pinned_benchmark(), classes=tables, found=found, sightless=learned
+    )
 
 
 def play(control: str, name: str, specs: Sequence[EpisodeSpec], hand: str) -> dict[str, Rate]:
-    """Play one baseline in one control class; print and return its rates, also of each category and object."""
+    """Play one baseline in one control class; print and return its rates, also of each category and
+    object.
+    """
     batch = WorldBatch(Recipe(control_class=control, hand=hand), min(WORLDS, len(specs)))
     episodes = list(evaluate(batch, EXPERTS[name](), specs))
     rates = {
@@ -68,7 +114,11 @@ def play(control: str, name: str, specs: Sequence[EpisodeSpec], hand: str) -> di
         "S_joint": rate([e.success for e in episodes]),
     }
     for label in (*CATEGORIES, *OBJECTS.names()):
-        localized = [e.first_localized is not None for e in episodes if label in (e.meta.category, e.meta.object)]
+        localized = [
+            e.first_localized is not None
+            for e in episodes
+            if label in (e.meta.category, e.meta.object)
+        ]
         rates |= {label: rate(localized)} if localized else {}
     print(f"\n{control}, {name}")
     for label, row in rates.items():
@@ -77,19 +127,28 @@ def play(control: str, name: str, specs: Sequence[EpisodeSpec], hand: str) -> di
 
 
 def search(args: argparse.Namespace, specs: Sequence[EpisodeSpec]) -> dict[str, Rate]:
-    """Search fixed paths; print and return how many episodes they meet of those searched, of others, and of the split.
+    """Search fixed paths; print and return how many episodes they meet of those searched, of
+    others, and of the split.
 
     Targets and palm are taken to move straight between frames; nothing is simulated.
     """
     train = sample_specs(Recipe(split="train"), range(2 * args.search), threads=0)
-    parts = {"searched": train[: args.search], "other train": train[args.search :], args.split: specs}
+    parts = {
+        "searched": train[: args.search],
+        "other train": train[args.search :],
+        args.split: specs,
+    }
     speed_m_s = CONTROL_CLASSES[args.search_class].palm_speed_m_s
     table = search_paths(parts["searched"], args.homes, speed_m_s)
     rates = {}
     for label, part in parts.items():
         met = hits_by_cluster(homes_of(part), relative_paths(part, FRAMES), table)
         rates[label] = rate(met.tolist())
-        print("fixed path on {:12s} {value:5.1f} [{low:5.1f}, {high:5.1f}]".format(label, **rates[label]))
+        print(
+            "fixed path on {:12s} {value:5.1f} [{low:5.1f}, {high:5.1f}]".format(
+                label, **rates[label]
+            )
+        )
     if args.save:
         centres, paths = table
         rows = paths[0] if args.homes == 1 else np.hstack([centres, paths.reshape(len(paths), -1)])
@@ -97,12 +156,18 @@ def search(args: argparse.Namespace, specs: Sequence[EpisodeSpec]) -> dict[str, 
     return rates
 
 
-def search_paths(specs: Sequence[EpisodeSpec], clusters: int, speed_m_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return (C, 3) the centres of clusters of homes [m], world, and (C, K, 3) the path found for each."""
+def search_paths(
+    specs: Sequence[EpisodeSpec], clusters: int, speed_m_s: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return (C, 3) the centres of clusters of homes [m], world, and (C, K, 3) the path found for
+    each.
+    """
     targets, homes_w = relative_paths(specs, FRAMES), homes_of(specs)
     centres = cluster(homes_w, clusters)
     labels = nearest(homes_w, centres)
-    return centres, np.stack([search_path(targets[labels == k], speed_m_s, WIDTH, FINENESS) for k in range(clusters)])
+    return centres, np.stack(
+        [search_path(targets[labels == k], speed_m_s, WIDTH, FINENESS) for k in range(clusters)]
+    )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,6 @@
-"""The documentation: ``uv run --group docs sphinx-build docs docs/_build``; ``-b linkcheck`` checks the links."""
+"""The documentation: ``uv run --group docs sphinx-build docs docs/_build``; ``-b linkcheck`` checks
+the links.
+"""
 
 from dataclasses import fields, is_dataclass
 from typing import Any
@@ -16,7 +18,9 @@ html_theme = "furo"
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "sphinx.ext.napoleon"]
 exclude_patterns = ["_build", "jupyter_execute"]
-suppress_warnings = ["myst.xref_missing"]  # files outside of docs/; tests/docs/test_pages.py checks those links
+suppress_warnings = [
+    "myst.xref_missing"
+]  # files outside of docs/; tests/docs/test_pages.py checks those links
 default_role = "code"
 
 myst_enable_extensions = ["dollarmath"]
@@ -40,6 +44,8 @@ def setup(app: Any) -> None:
 def _document_options(_app: Any, what: str, _name: str, item: Any, *others: Any) -> None:
     lines, entries = others[-1], fields(item) if what == "class" and is_dataclass(item) else ()
     if told := [
-        f"    {entry.name}: {escape(entry.metadata['help'])}." for entry in entries if "help" in entry.metadata
+        f"    {entry.name}: {escape(entry.metadata['help'])}."
+        for entry in entries
+        if "help" in entry.metadata
     ]:
         lines += ["Attributes:", *told, ""]

@@ -1,4 +1,6 @@
-"""Catching moving things with a dexterous hand: generator, environment and metrics, native to LeRobot."""
+"""Catching moving things with a dexterous hand: generator, environment and metrics, native to
+LeRobot.
+"""
 
 from importlib.metadata import version
 

@@ -1,9 +1,10 @@
-"""Capture rules: an event within a control step, what it does to the target, and what counts as a catch.
+"""Capture rules: an event within a control step, what it does to the target, and what counts as a
+catch.
 
-``attach`` is the paper's rule: a target within the localisation radius is welded to the hand; the grasp is a matter of
-pose. ``attach_lenient`` is the track on which the paper evaluates vision-language models, with a threshold of 1.0 u.
-``contact`` is ours, the physical rule: nothing is ever attached; a catch is what friction and the fingers hold while
-the hand moves.
+``attach`` is the paper's rule: a target within the localisation radius is welded to the hand; the
+grasp is a matter of pose. ``attach_lenient`` is the track on which the paper evaluates
+vision-language models, with a threshold of 1.0 u. ``contact`` is ours, the physical rule: nothing
+is ever attached; a catch is what friction and the fingers hold while the hand moves.
 """
 
 from __future__ import annotations
@@ -73,14 +74,16 @@ class Track:
 
 
 class CaptureRule(ABC):
-    """A rule; it has no state of its own and changes nothing itself, so one instance serves all worlds.
+    """A rule; it has no state of its own and changes nothing itself, so one instance serves all
+    worlds.
 
     Its event happens once per episode: from then on the target is neither driven nor tethered.
     """
 
     name: str
     welds: ClassVar[bool]
-    """Whether the event fixes the target to the palm as it lies, at the palm's velocity; else it keeps its own."""
+    """Whether the event fixes the target to the palm as it lies, at the palm's velocity; else it
+    keeps its own."""
     collides_after: ClassVar[int]
     """Collision bits that the target asks for from its event on."""
     expert: ClassVar[str]
@@ -88,19 +91,24 @@ class CaptureRule(ABC):
     hand: ClassVar[str]
     """The hand that plays under it, likewise."""
     localization_radius_m: ClassVar[float] = LOCALIZATION_RADIUS_M
-    """Palm centre to target centre, below which the target is localised [m]; all metrics follow it."""
+    """Palm centre to target centre, below which the target is localised [m]; all metrics follow
+    it."""
     gantry_speed_m_s: ClassVar[float | None] = None
-    """Speed limit of each axis of the palm's gantry [m/s], where the rule replaces that of the control class."""
+    """Speed limit of each axis of the palm's gantry [m/s], where the rule replaces that of the
+    control class."""
     uses_contact_sensors: ClassVar[bool] = False
     """Whether events and verdicts are read from what touches the target."""
     hold_frames: ClassVar[int] = 0
     """Frames that every episode has left after the intercept, at least."""
     settle_frames: ClassVar[int] = 10
-    """Frames after the first localisation in which the verdict falls; then an evaluated episode may end."""
+    """Frames after the first localisation in which the verdict falls; then an evaluated episode may
+    end."""
 
     @classmethod
     def palm_speed_m_s(cls, control: ControlClass) -> float:
-        """Return the palm's greatest speed [m/s]: the control class's, or that of the rule's gantry."""
+        """Return the palm's greatest speed [m/s]: the control class's, or that of the rule's
+        gantry.
+        """
         return control.palm_speed_m_s if cls.gantry_speed_m_s is None else cls.gantry_speed_m_s
 
     @abstractmethod
@@ -108,15 +116,19 @@ class CaptureRule(ABC):
         """Return the collision bits that a target asks for from the start."""
 
     @abstractmethod
-    def events(self, acting: np.ndarray, palm_distance: np.ndarray, contacts: TargetContacts | None) -> np.ndarray:
-        """Return (n,) the physics step within the control step after which its event is due, or ``NO_EVENT``.
+    def events(
+        self, acting: np.ndarray, palm_distance: np.ndarray, contacts: TargetContacts | None
+    ) -> np.ndarray:
+        """Return (n,) the physics step within the control step after which its event is due, or
+        ``NO_EVENT``.
 
         Also called for worlds whose event has happened; the result is ignored there.
 
         Args:
             acting: (n,) bool, the control phase has begun.
             palm_distance: (n, 25) palm centre to target centre [m].
-            contacts: of shape (n, 25), what touches the target; None if the rule uses no contact sensors.
+            contacts: of shape (n, 25), what touches the target; None if the rule uses no contact
+                sensors.
         """
 
     @abstractmethod
@@ -142,10 +154,12 @@ class CaptureRule(ABC):
 
 @CAPTURES.register("attach")
 class Attach(CaptureRule):
-    """Localised means within 3 cm; captured means localised with all joints at 0.9 to 1.2 of the reference grasp.
+    """Localised means within 3 cm; captured means localised with all joints at 0.9 to 1.2 of the
+    reference grasp.
 
-    Hand and target do not collide. Within the 25 physics steps of a frame the weld happens at the closest approach, so
-    a fast target cannot slip between two frames (Appendix "Evaluation Criteria").
+    Hand and target do not collide. Within the 25 physics steps of a frame the weld happens at the
+    closest approach, so a fast target cannot slip between two frames (Appendix "Evaluation
+    Criteria").
     """
 
     welds = True
@@ -157,7 +171,9 @@ class Attach(CaptureRule):
         """Return the environment's bit for real dynamics, none for a prescribed path."""
         return ENVIRONMENT if isinstance(motion, PhysicalMotion) else 0
 
-    def events(self, acting: np.ndarray, palm_distance: np.ndarray, contacts: TargetContacts | None) -> np.ndarray:
+    def events(
+        self, acting: np.ndarray, palm_distance: np.ndarray, contacts: TargetContacts | None
+    ) -> np.ndarray:
         """Return the closest physics step where it is within the localisation radius."""
         closest = palm_distance.argmin(axis=1)
         inside = palm_distance.min(axis=1) < self.localization_radius_m
@@ -183,10 +199,11 @@ class Attach(CaptureRule):
 
 @CAPTURES.register("attach_lenient")
 class AttachLenient(Attach):
-    """Localised means within 10 cm; weld, grasp check and R_time use the same threshold (S_loc* of the paper).
+    """Localised means within 10 cm; weld, grasp check and R_time use the same threshold (S_loc* of
+    the paper).
 
-    Appendix "Evaluation Criteria" relaxes the threshold of localisation, and attaches the target "once the hand-object
-    distance meets the localization criterion".
+    Appendix "Evaluation Criteria" relaxes the threshold of localisation, and attaches the target
+    "once the hand-object distance meets the localization criterion".
     """
 
     localization_radius_m = LENIENT_RADIUS_M
@@ -194,10 +211,12 @@ class AttachLenient(Attach):
 
 @CAPTURES.register("contact")
 class Contact(CaptureRule):
-    """Held: gripped by thumb and finger, or finger and palm, clear of all else, for 0.5 s while the hand moves.
+    """Held: gripped by thumb and finger, or finger and palm, clear of all else, for 0.5 s while the
+    hand moves.
 
-    Hand and target collide from the start. A prescribed target follows its path until the hand first touches it, and is
-    a free body from that physics step on, at the velocity it had; a pendulum's string lets go likewise.
+    Hand and target collide from the start. A prescribed target follows its path until the hand
+    first touches it, and is a free body from that physics step on, at the velocity it had; a
+    pendulum's string lets go likewise.
     """
 
     welds = False
@@ -210,10 +229,14 @@ class Contact(CaptureRule):
     settle_frames = 40
 
     def collisions(self, motion: Motion) -> int:
-        """Return the hand's bit, and for real dynamics the environment's; a driven path heeds no obstacle."""
+        """Return the hand's bit, and for real dynamics the environment's; a driven path heeds no
+        obstacle.
+        """
         return HAND_BIT | (ENVIRONMENT if isinstance(motion, PhysicalMotion) else 0)
 
-    def events(self, acting: np.ndarray, palm_distance: np.ndarray, contacts: TargetContacts | None) -> np.ndarray:
+    def events(
+        self, acting: np.ndarray, palm_distance: np.ndarray, contacts: TargetContacts | None
+    ) -> np.ndarray:
         """Return the first physics step in which the hand touches the target."""
         assert contacts is not None
         touched = contacts.by_hand  # (n, 25)
@@ -236,9 +259,15 @@ class Contact(CaptureRule):
 
     def success(self, track: Track) -> bool:
         """Return whether a grip lasted long enough on a moving hand."""
-        steps_m = np.linalg.norm(np.diff(track.palm_pos_h, axis=0, prepend=track.palm_pos_h[:1]), axis=1)
-        travel_m = np.concatenate([[0.0], np.cumsum(steps_m)])  # of the palm, before each frame and at the end
-        moved_m = travel_m[HELD_FRAMES:] - travel_m[:-HELD_FRAMES]  # from frame t to t + HELD_FRAMES
+        steps_m = np.linalg.norm(
+            np.diff(track.palm_pos_h, axis=0, prepend=track.palm_pos_h[:1]), axis=1
+        )
+        travel_m = np.concatenate(
+            [[0.0], np.cumsum(steps_m)]
+        )  # of the palm, before each frame and at the end
+        moved_m = (
+            travel_m[HELD_FRAMES:] - travel_m[:-HELD_FRAMES]
+        )  # from frame t to t + HELD_FRAMES
         return any(
             (moved_m[start : max(start, end + 1 - HELD_FRAMES)] >= HELD_TRAVEL_M).any()
             for start, end in runs(gripped(track))
@@ -246,7 +275,9 @@ class Contact(CaptureRule):
 
 
 def gripped(track: Track) -> np.ndarray:
-    """Return (T,) bool: between thumb and another finger, or finger and palm, near the palm centre, off all else."""
+    """Return (T,) bool: between thumb and another finger, or finger and palm, near the palm centre,
+    off all else.
+    """
     fingers, palm = track.contacts.finger_force_n > 0, track.contacts.palm_force_n > 0
     opposed = (fingers[:, THUMB] | palm) & np.delete(fingers, THUMB, axis=1).any(axis=1)
     opposed |= fingers[:, THUMB] & palm

@@ -36,7 +36,9 @@ from dynahoi_lerobot.world.batch import WorldBatch
 
 @dataclass(frozen=True)
 class Fact:
-    """What was found of a part of this machine, what follows for the commands, and whether they need something else."""
+    """What was found of a part of this machine, what follows for the commands, and whether they
+    need something else.
+    """
 
     name: str
     found: str
@@ -45,7 +47,10 @@ class Fact:
 
     def __str__(self) -> str:
         """Return one line."""
-        mark, follows = "PROBLEM: " if self.problem else "", f"  -> {self.follows}" if self.follows else ""
+        mark, follows = (
+            "PROBLEM: " if self.problem else "",
+            f"  -> {self.follows}" if self.follows else "",
+        )
         return f"{self.name:<24} {mark}{self.found}{follows}"
 
 
@@ -54,7 +59,9 @@ class Options:
     """Of ``dynahoi doctor``."""
 
     folder: Path = option(Path(), "output folder on the disk to check")
-    reference: bool = option(False, "also run 44 episodes and compare them bit by bit with the reference")
+    reference: bool = option(
+        False, "also run 44 episodes and compare them bit by bit with the reference"
+    )
     json: Path | None = option(None, "also write the findings to this file")
 
 
@@ -62,40 +69,64 @@ def run(options: Options) -> int:
     """Print the findings; return the exit code: 0 without problems, 1 with problems."""
     check_output(options.folder)
     facts = []
-    for fact in chain(examine(options.folder), compare(play(EPISODES), read_reference()) if options.reference else ()):
+    for fact in chain(
+        examine(options.folder),
+        compare(play(EPISODES), read_reference()) if options.reference else (),
+    ):
         print(fact, flush=True)
         facts.append(fact)
     if options.json:
-        options.json.write_text(json.dumps([asdict(fact) for fact in facts], indent=2) + "\n", encoding="utf-8")
+        options.json.write_text(
+            json.dumps([asdict(fact) for fact in facts], indent=2) + "\n", encoding="utf-8"
+        )
     problems = [fact.name for fact in facts if fact.problem]
     print(f"problems: {', '.join(problems)}" if problems else "no problems")
     return 1 if problems else 0
 
 
 def examine(folder: Path) -> Iterator[Fact]:
-    """Yield the facts of every part, of the disk that of the output ``folder``; a part that raises is a problem."""
+    """Yield the facts of every part, of the disk that of the output ``folder``; a part that raises
+    is a problem.
+    """
     parts = {
-        "processor": processor(), "disk": disk(folder), "cache": encoded_images(), "gpu": gpu(), "codecs": codecs(),
-        "versions": versions(), "plugins": plugins(), "pace": pace(),
-    }  # fmt: skip
+        "processor": processor(),
+        "disk": disk(folder),
+        "cache": encoded_images(),
+        "gpu": gpu(),
+        "codecs": codecs(),
+        "versions": versions(),
+        "plugins": plugins(),
+        "pace": pace(),
+    }
     for name, facts in parts.items():
         try:
             yield from facts
-        except Exception as error:  # whatever a broken installation raises is what the user wants to know
+        except (
+            Exception
+        ) as error:  # whatever a broken installation raises is what the user wants to know
             yield Fact(name, f"check failed: {type(error).__name__}: {error}", problem=True)
 
 
 WORKER_GB, EPISODE_MB, LEAST_GB = 0.9, 0.13, 0.5
-"""Memory of a process of ``dynahoi generate`` and size of an episode, at 128 px (docs/notes/scale.md), and disk space
-that the quickstart and the compiled kernels need."""
+"""Memory of a process of ``dynahoi generate`` and size of an episode, at 128 px
+(docs/notes/scale.md), and disk space that the quickstart and the compiled kernels need."""
 
 
 def processor() -> Iterator[Fact]:
     """Yield the available cores and the memory."""
     count, memory_gb = cores(), os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
     room = int(memory_gb / WORKER_GB)
-    yield Fact("cores", f"{count}, {platform.machine()}", f"`dynahoi generate --workers {max(1, min(count, room))}`")
-    yield Fact("memory", f"{memory_gb:.1f} GB", "" if room else f"a worker needs {WORKER_GB} GB", problem=not room)
+    yield Fact(
+        "cores",
+        f"{count}, {platform.machine()}",
+        f"`dynahoi generate --workers {max(1, min(count, room))}`",
+    )
+    yield Fact(
+        "memory",
+        f"{memory_gb:.1f} GB",
+        "" if room else f"a worker needs {WORKER_GB} GB",
+        problem=not room,
+    )
 
 
 def cores() -> int:
@@ -105,7 +136,9 @@ def cores() -> int:
 
 def disk(folder: Path) -> Iterator[Fact]:
     """Yield the free space of the nearest existing folder."""
-    place = next(parent for parent in (folder.absolute(), *folder.absolute().parents) if parent.is_dir())
+    place = next(
+        parent for parent in (folder.absolute(), *folder.absolute().parents) if parent.is_dir()
+    )
     free_gb = shutil.disk_usage(place).free / 1e9
     room = f"room for about {free_gb / EPISODE_MB:.0f} thousand episodes at 128 px"
     follows = f"{LEAST_GB} GB are needed" if (full := free_gb < LEAST_GB) else room
@@ -117,23 +150,38 @@ def encoded_images() -> Iterator[Fact]:
     cache = os.environ.get("HF_HOME") or Path.home() / ".cache" / "huggingface"
     folder = Path(os.environ.get("HF_LEROBOT_HOME") or Path(cache) / "lerobot") / "obact_sightings"
     if sizes := [file.stat().st_size for file in folder.glob("*.safetensors")]:
-        yield Fact("encoded images", f"{len(sizes)} datasets, {sum(sizes) / 1e6:.0f} MB in {folder}", "may be deleted")
+        yield Fact(
+            "encoded images",
+            f"{len(sizes)} datasets, {sum(sizes) / 1e6:.0f} MB in {folder}",
+            "may be deleted",
+        )
 
 
 def gpu() -> Iterator[Fact]:
-    """Yield the devices of Warp, on which images are rendered, and of torch, on which policies run."""
+    """Yield the devices of Warp, on which images are rendered, and of torch, on which policies
+    run.
+    """
     from dynahoi_lerobot.renderers.raycast.device import wp
 
-    found = [f"{device.name}, {device.total_memory / 1e9:.0f} GB" for device in wp.get_cuda_devices()]
+    found = [
+        f"{device.name}, {device.total_memory / 1e9:.0f} GB" for device in wp.get_cuda_devices()
+    ]
     where = "CUDA" if found else "the CPU"
-    yield Fact("GPU", "; ".join(found) or "none", f"the renderer `tiles` runs on {where}; it needs no OpenGL")
+    yield Fact(
+        "GPU",
+        "; ".join(found) or "none",
+        f"the renderer `tiles` runs on {where}; it needs no OpenGL",
+    )
     if importlib.util.find_spec("torch") is None:
         return
     import torch
 
     wanted = "; install a torch with CUDA to use the GPU" if found else ""
     cuda = (f"CUDA {torch.version.cuda}", "policies run on the GPU")
-    yield Fact("torch device", *(cuda if torch.cuda.is_available() else ("CPU", f"policies run on the CPU{wanted}")))
+    yield Fact(
+        "torch device",
+        *(cuda if torch.cuda.is_available() else ("CPU", f"policies run on the CPU{wanted}")),
+    )
 
 
 def codecs() -> Iterator[Fact]:
@@ -142,7 +190,12 @@ def codecs() -> Iterator[Fact]:
 
     works = CODECS["h264"] in av.codec.codecs_available
     follows = "`dynahoi generate` writes h264" if works else "only `--codec images` works"
-    yield Fact("PyAV", f"{version('av')}, writes {'h264' if works else 'no video'}", follows, problem=not works)
+    yield Fact(
+        "PyAV",
+        f"{version('av')}, writes {'h264' if works else 'no video'}",
+        follows,
+        problem=not works,
+    )
     if importlib.util.find_spec("torchcodec") is None:
         yield Fact("torchcodec", "none", "LeRobot decodes with PyAV")
         return
@@ -164,7 +217,9 @@ OPTIONAL = {
 
 
 def versions() -> Iterator[Fact]:
-    """Yield the versions of Python and of distributions; a requirement of ours that is not met is a problem."""
+    """Yield the versions of Python and of distributions; a requirement of ours that is not met is a
+    problem.
+    """
     yield Fact("Python", platform.python_version())
     for name in (*OURS, "mujoco", "mujoco-warp", "warp-lang", "gymnasium", "numpy", *OPTIONAL):
         found = installed_version(name)
@@ -179,13 +234,25 @@ def versions() -> Iterator[Fact]:
                 yield Fact(wanted.name, found or "none", follows, problem=True)
 
 
-LEROBOT_PREFIXES = ("lerobot_env_", "lerobot_policy_", "lerobot_robot_", "lerobot_teleoperator_", "lerobot_camera_")
+LEROBOT_PREFIXES = (
+    "lerobot_env_",
+    "lerobot_policy_",
+    "lerobot_robot_",
+    "lerobot_teleoperator_",
+    "lerobot_camera_",
+)
 """Names by which LeRobot finds its plugins."""
 
 
 def plugins() -> Iterator[Fact]:
-    """Yield the distributions that LeRobot imports as plugins, and the modules that the core imports."""
-    found = {(dist.name, dist.version) for dist in distributions() if dist.name.startswith(LEROBOT_PREFIXES)}
+    """Yield the distributions that LeRobot imports as plugins, and the modules that the core
+    imports.
+    """
+    found = {
+        (dist.name, dist.version)
+        for dist in distributions()
+        if dist.name.startswith(LEROBOT_PREFIXES)
+    }
     for name, installed in sorted(found):
         yield Fact(name, installed, "LeRobot finds it")
     for entry in sorted(entry_points(group=GROUP), key=lambda entry: (entry.name, entry.value)):
@@ -199,12 +266,14 @@ def plugins() -> Iterator[Fact]:
 PACED = Recipe(image_size=64)
 PACED_EPISODES = 16
 KNOWN_FRAMES_S, KNOWN_PROCESSOR_S, KNOWN_ELAPSED_S = 560.0, 520.0, 303.0
-"""Where the quickstart was timed: speed of one core [frames/s]; the quickstart's processor time and its wall time on
-two idle cores [s]."""
+"""Where the quickstart was timed: speed of one core [frames/s]; the quickstart's processor time and
+its wall time on two idle cores [s]."""
 
 
 def pace() -> Iterator[Fact]:
-    """Yield this machine's speed, sampling included, and the quickstart's duration estimated from it."""
+    """Yield this machine's speed, sampling included, and the quickstart's duration estimated from
+    it.
+    """
     frames_s = frames_per_s()
     known_s = KNOWN_PROCESSOR_S if cores() == 1 else KNOWN_ELAPSED_S
     minutes = max(1.0, known_s * KNOWN_FRAMES_S / frames_s / 60)
@@ -230,9 +299,10 @@ STRIDE = 10
 Reference = dict[str, np.ndarray]
 """The expert's first ``n`` episodes of ``test``, as some machine played them.
 
-``machine``: processor and library versions, in words. ``motions`` and ``images``: (n,) digests of states, commands and
-target poses, and of all images. ``poses``: (K, 25) float32, hand state [m, rad] and target pose [m, 1] at every tenth
-frame of all episodes. ``pixels``: (n, 32, 32, 3) uint8 RGB at control start.
+``machine``: processor and library versions, in words. ``motions`` and ``images``: (n,) digests of
+states, commands and target poses, and of all images. ``poses``: (K, 25) float32, hand state [m,
+rad] and target pose [m, 1] at every tenth frame of all episodes. ``pixels``: (n, 32, 32, 3) uint8
+RGB at control start.
 """
 
 
@@ -245,47 +315,69 @@ def read_reference() -> Reference:
 def play(count: int) -> Reference:
     """Return the first ``count`` episodes as this machine plays them."""
     specs = sample_specs(PLAYED, range(count), threads=0)
-    played = evaluate(WorldBatch(PLAYED, min(count, 22)), EXPERTS[PLAYED.expert](), specs, images=True)
+    played = evaluate(
+        WorldBatch(PLAYED, min(count, 22)), EXPERTS[PLAYED.expert](), specs, images=True
+    )
     episodes = sorted(played, key=lambda episode: episode.meta.seed)
     computing = LIBRARIES[:4]  # those that compute states and pixels
-    machine = ", ".join([platform.machine(), *(f"{library} {version(library)}" for library in computing)])
+    machine = ", ".join(
+        [platform.machine(), *(f"{library} {version(library)}" for library in computing)]
+    )
     return {
         "machine": np.array(machine),
         "motions": np.array([digest([e.state, e.action, e.target_pose]) for e in episodes]),
         "images": np.array([digest([e.images[EGO_VIEW]]) for e in episodes]),
-        "poses": np.concatenate([np.concatenate([e.state, e.target_pose], axis=1)[::STRIDE] for e in episodes]),
+        "poses": np.concatenate(
+            [np.concatenate([e.state, e.target_pose], axis=1)[::STRIDE] for e in episodes]
+        ),
         "pixels": np.stack([e.images[EGO_VIEW][e.meta.window_frames] for e in episodes]),
     }
 
 
 def digest(arrays: Iterable[np.ndarray]) -> str:
     """Return 16 hexadecimal digits of the sha256 of the arrays' bytes."""
-    return hashlib.sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()[:16]
+    return hashlib.sha256(
+        b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)
+    ).hexdigest()[:16]
 
 
 def compare(found: Reference, wanted: Reference) -> Iterator[Fact]:
     """Yield how this machine's episodes differ from the reference."""
-    yield Fact("reference", f"benchmark {BENCHMARK.version}, {wanted['machine']}", f"here {found['machine']}")
+    yield Fact(
+        "reference",
+        f"benchmark {BENCHMARK.version}, {wanted['machine']}",
+        f"here {found['machine']}",
+    )
     same = found["motions"] == wanted["motions"]
     identical = _count(same)
     if same.all():
         yield Fact("motion", identical, "results agree with ours to the last digit")
     elif found["poses"].shape != wanted["poses"].shape:
-        yield Fact("motion", f"{identical}; some lengths differ", "results differ from ours", problem=True)
+        yield Fact(
+            "motion", f"{identical}; some lengths differ", "results differ from ours", problem=True
+        )
     else:
         off = np.abs(found["poses"] - wanted["poses"]).max(axis=0)
         palm_m, target_m = off[:PALM_DOF].max(), off[HAND_DOF : HAND_DOF + 3].max()
         close = bool(off.max() <= TOLERANCE)
-        confirmed = "`dynahoi evaluate --replay` confirms results across both, with the same library versions"
+        confirmed = (
+            "`dynahoi evaluate --replay` confirms results across both, with the same "
+            "library versions"
+        )
         differs = f"{identical}; palm off by at most {palm_m:.2g} m, target by {target_m:.2g} m"
-        yield Fact("motion", differs, confirmed if close else "results differ from ours", problem=not close)
+        yield Fact(
+            "motion", differs, confirmed if close else "results differ from ours", problem=not close
+        )
     same = found["images"] == wanted["images"]
     identical = _count(same)
     if same.all():
         yield Fact("images", identical, "policies see identical images")
     else:
         off = np.abs(found["pixels"].astype(int) - wanted["pixels"])
-        yield Fact("images", f"{identical}; pixels off by at most {off.max()} of 255, {off.mean():.2g} on average")
+        yield Fact(
+            "images",
+            f"{identical}; pixels off by at most {off.max()} of 255, {off.mean():.2g} on average",
+        )
 
 
 def _count(same: np.ndarray) -> str:

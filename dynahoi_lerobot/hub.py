@@ -1,7 +1,8 @@
-"""``dynahoi push``: upload a dataset, a checkpoint, results or an environment to the Hugging Face Hub.
+"""``dynahoi push``: upload a dataset, a checkpoint, results or an environment to the Hugging Face
+Hub.
 
-A repository is never mixed with other content. What stopped is resumed by the same command, because the Hub's client
-sends only what the Hub lacks.
+A repository is never mixed with other content. What stopped is resumed by the same command, because
+the Hub's client sends only what the Hub lacks.
 """
 
 from __future__ import annotations
@@ -36,8 +37,21 @@ from dynahoi_lerobot.evaluate.checkpoint import (
     load_policy,
     trained_for,
 )  # fmt: skip
-from dynahoi_lerobot.evaluate.replay_results import changed_rules, check_episodes, check_results, drawn, open_recipe
-from dynahoi_lerobot.evaluate.results import ACTIONS_FILE, EPISODES_FILE, METRICS_FILE, WEIGHTS, Results, read_results
+from dynahoi_lerobot.evaluate.replay_results import (
+    changed_rules,
+    check_episodes,
+    check_results,
+    drawn,
+    open_recipe,
+)
+from dynahoi_lerobot.evaluate.results import (
+    ACTIONS_FILE,
+    EPISODES_FILE,
+    METRICS_FILE,
+    WEIGHTS,
+    Results,
+    read_results,
+)
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.salt import split_of
 from dynahoi_lerobot.verify.command import verify
@@ -45,16 +59,29 @@ from dynahoi_lerobot.verify.command import verify
 if TYPE_CHECKING:
     from huggingface_hub import HfApi, ModelCard
 
-KIND_FILES = {"dataset": INFO_PATH, "results": METRICS_FILE, "checkpoint": CONFIG, "environment": "env.py"}
-"""What can be pushed, and the file that identifies it; LeRobot's ``make_env("user/name")`` runs ``env.py``."""
+KIND_FILES = {
+    "dataset": INFO_PATH,
+    "results": METRICS_FILE,
+    "checkpoint": CONFIG,
+    "environment": "env.py",
+}
+"""What can be pushed, and the file that identifies it; LeRobot's ``make_env("user/name")`` runs
+``env.py``."""
 HUB_FILES = (CARD_PATH, "LICENSE", ".gitattributes")
 """Files that every repository may have, whoever wrote them."""
 RESULTS = "results"
-"""Folder of a checkpoint's repository with the result folders, for ``dynahoi evaluate --replay``."""
+"""Folder of a checkpoint's repository with the result folders, for ``dynahoi evaluate
+--replay``."""
 IGNORED = [".cache/**", "training_state/**", "**/__pycache__/**", "__pycache__/**"]
 NAME_LENGTH = 120
-"""Characters of the longest name of a result folder; a longer one is cut and ends with digits of a hash."""
-KIND_OPTIONS = {"policy": "results", "full": "results", "replace": "checkpoint", "trust": "checkpoint"}
+"""Characters of the longest name of a result folder; a longer one is cut and ends with digits of a
+hash."""
+KIND_OPTIONS = {
+    "policy": "results",
+    "full": "results",
+    "replace": "checkpoint",
+    "trust": "checkpoint",
+}
 """Options that are for a push of one kind."""
 REPLAYED = 8
 """Episodes of results that are replayed before they are pushed."""
@@ -64,7 +91,10 @@ SHOWN_METRICS = ("S_hold", "S_joint", "S_loc")
 """Metrics of results that a model card lists."""
 
 RESUME = "nothing is lost; run the same command to resume"
-LOG_IN = "create one that can write at https://huggingface.co/settings/tokens, then run `hf auth login` or set HF_TOKEN"
+LOG_IN = (
+    "create one that can write at https://huggingface.co/settings/tokens, then run `hf auth "
+    "login` or set HF_TOKEN"
+)
 ANSWERS = {
     401: f"the Hub rejected the token; {LOG_IN}",
     403: f"the token has no write access there; {LOG_IN}",
@@ -81,7 +111,9 @@ class Options:
     folder: Path = argument("a dataset, a pretrained_model folder, a result folder or envs/hub")
     repo: str = argument("USER/NAME on the Hub; for results, the repository of their checkpoint")
     private: bool = option(False, "create a private repository")
-    replace: bool = option(False, "checkpoints only: overwrite different weights and delete their results")
+    replace: bool = option(
+        False, "checkpoints only: overwrite different weights and delete their results"
+    )
     policy: str | None = option(None, "results only: name of the evaluated policy, if it differed")
     full: bool = option(False, f"results only: replay all episodes, not {REPLAYED} of them")
     trust: bool = option(False, TRUST)
@@ -92,18 +124,26 @@ def run(options: Options) -> int:
     kind = kind_of(options.folder)
     for name, wanted in KIND_OPTIONS.items():
         if getattr(options, name) and kind != wanted:
-            raise ValueError(f"--{name} is for a push of {wanted}; {options.folder} holds this: {kind}")
+            raise ValueError(
+                f"--{name} is for a push of {wanted}; {options.folder} holds this: {kind}"
+            )
     for entry in options.folder.rglob("*"):
         if entry.is_symlink():
-            raise ValueError(f"{entry} is a link, and what it leads to is not uploaded; put a copy in its place")
+            raise ValueError(
+                f"{entry} is a link, and what it leads to is not uploaded; put a copy in its place"
+            )
         with reading(options.folder):
             str(entry).encode()  # the Hub's client cannot send other names
-        if entry.name in (CARD_PATH, ".gitignore") and not entry.is_dir():  # which the client reads whole
+        if (
+            entry.name in (CARD_PATH, ".gitignore") and not entry.is_dir()
+        ):  # which the client reads whole
             read_text(entry)
         elif not entry.is_dir():
             regular(entry, LARGEST_FILE)
     try:
-        pushed = PUSHES[kind](options, Repository.open(options.repo, "dataset" if kind == "dataset" else "model"))
+        pushed = PUSHES[kind](
+            options, Repository.open(options.repo, "dataset" if kind == "dataset" else "model")
+        )
     except (CommandError, ValueError, ModuleNotFoundError):
         raise
     except Exception as error:  # whatever goes wrong on the Hub or on the way to it
@@ -123,7 +163,9 @@ def kind_of(folder: Path) -> str:
 
 @dataclass(frozen=True)
 class Repository:
-    """A repository ``user/name`` of a ``kind``, dataset or model, and the account that writes to it."""
+    """A repository ``user/name`` of a ``kind``, dataset or model, and the account that writes to
+    it.
+    """
 
     api: HfApi
     name: str
@@ -158,7 +200,8 @@ class Repository:
         return {file.rfilename: file.lfs.sha256 for file in files if file.lfs}
 
     def claim(self, folder: Path, *, private: bool) -> set[str]:
-        """Create it if absent, refuse it if it holds anything but an earlier push of ``folder``, and return its files.
+        """Create it if absent, refuse it if it holds anything but an earlier push of ``folder``,
+        and return its files.
 
         Raises:
             CommandError: if it holds other content, or is public where a private one is asked for.
@@ -166,12 +209,17 @@ class Repository:
         self.api.create_repo(self.name, repo_type=self.kind, private=private or None, exist_ok=True)
         if private and not self.api.repo_info(self.name, repo_type=self.kind).private:
             raise CommandError(
-                f"{self.name} exists and is public; make it private in its settings, or choose another name"
+                f"{self.name} exists and is public; make it private in its settings, or choose "
+                f"another name"
             )
         held = set(self.api.list_repo_files(self.name, repo_type=self.kind))
         ours = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
-        if foreign := sorted(name for name in held - ours - set(HUB_FILES) if not name.startswith(f"{RESULTS}/")):
-            raise CommandError(f"{self.name} holds other content ({foreign[0]}); choose another name")
+        if foreign := sorted(
+            name for name in held - ours - set(HUB_FILES) if not name.startswith(f"{RESULTS}/")
+        ):
+            raise CommandError(
+                f"{self.name} holds other content ({foreign[0]}); choose another name"
+            )
         return held
 
     def upload(self, folder: Path, **options: Any) -> None:
@@ -184,9 +232,12 @@ class Repository:
     def upload_card(self, card: ModelCard) -> None:
         """Replace the card; the client makes no commit if it says the same."""
         self.api.upload_file(
-            repo_id=self.name, path_or_fileobj=str(card).encode(), path_in_repo=CARD_PATH, repo_type=self.kind,
+            repo_id=self.name,
+            path_or_fileobj=str(card).encode(),
+            path_in_repo=CARD_PATH,
+            repo_type=self.kind,
             commit_message="Write the card with dynahoi",
-        )  # fmt: skip
+        )
 
     def tag(self, tag: str) -> None:
         """Set a tag on the latest commit; one that exists is moved."""
@@ -198,13 +249,17 @@ class Repository:
 
 
 def push_dataset(options: Options, repository: Repository) -> str:
-    """Push a dataset that verifies, tagged with LeRobot's version, which its reader asks for, and the benchmark's."""
+    """Push a dataset that verifies, tagged with LeRobot's version, which its reader asks for, and
+    the benchmark's.
+    """
     if findings := verify(options.folder):
         print(*findings, sep="\n", file=sys.stderr)
         raise CommandError(f"{options.folder} was not pushed: `dynahoi verify` has findings")
     manifest = Manifest.read(options.folder)
     if MANIFEST_PATH in repository.claim(options.folder, private=options.private):
-        there = repository.api.hf_hub_download(repository.name, MANIFEST_PATH, repo_type=repository.kind)
+        there = repository.api.hf_hub_download(
+            repository.name, MANIFEST_PATH, repo_type=repository.kind
+        )
         if read_object(Path(there)).get("sha256") != manifest.digest:
             raise CommandError(f"{repository.name} holds another dataset; choose another name")
     repository.upload(options.folder)
@@ -226,10 +281,13 @@ def push_checkpoint(options: Options, repository: Repository) -> str:
     card = checkpoint_card(folder, repository.name)
     held = repository.claim(folder, private=options.private)
     there = repository.weights()
-    other = [name for name, sha256 in folder_weights(folder).items() if there.get(name, sha256) != sha256]
+    other = [
+        name for name, sha256 in folder_weights(folder).items() if there.get(name, sha256) != sha256
+    ]
     if other and not options.replace:
         raise CommandError(
-            f"{repository.name} holds other weights ({other[0]}); choose another name, or add --replace, which "
+            f"{repository.name} holds other weights ({other[0]}); choose another name, or add "
+            f"--replace, which "
             "also removes the results of the old ones"
         )
     repository.upload(folder, delete_patterns=[f"{RESULTS}/*"] if other else None)
@@ -239,10 +297,12 @@ def push_checkpoint(options: Options, repository: Repository) -> str:
 
 
 def push_results(options: Options, repository: Repository) -> str:
-    """Push results into the repository of their checkpoint, under a name of their own, and list them on its card.
+    """Push results into the repository of their checkpoint, under a name of their own, and list
+    them on its card.
 
     Raises:
-        CommandError: if the repository holds no checkpoint, or nothing shows that the results are of it.
+        CommandError: if the repository holds no checkpoint, or nothing shows that the results are
+            of it.
         ReadError: if the folder is incomplete or damaged.
     """
     from huggingface_hub import ModelCard
@@ -259,30 +319,42 @@ def push_results(options: Options, repository: Repository) -> str:
     if CARD_PATH in held or doubt:
         there = api.hf_hub_download(repository.name, CARD_PATH) if CARD_PATH in held else None
         with reading(Path(repository.name) / CARD_PATH):
-            card = ModelCard.load(there, ignore_metadata_errors=True) if there else ModelCard("---\n---\n")
+            card = (
+                ModelCard.load(there, ignore_metadata_errors=True)
+                if there
+                else ModelCard("---\n---\n")
+            )
         card.text = _with_doubt(card.text, name, doubt)
         repository.upload_card(with_results(card, repository.name, results, name))
     return repository.address
 
 
 def _replayed(results: Results, count: int | None) -> str:
-    """Replay ``count`` random episodes, all for None; return why that cannot show anything here, empty if it did.
+    """Replay ``count`` random episodes, all for None; return why that cannot show anything here,
+    empty if it did.
 
     Raises:
         CommandError: if the results are not those of their commands.
     """
     if results.info.fingerprint != results.recipe().fingerprint():
-        return "they are of another version of the code, other libraries or another kind of processor"
+        return (
+            "they are of another version of the code, other libraries or another kind of processor"
+        )
     chosen = drawn(len(results.rows), count, secrets.randbits(32))
     recipe = open_recipe(results)
     episodes = (finding for found in check_episodes(results, recipe, chosen) for finding in found)
     if finding := next(chain(check_results(results, recipe), episodes), None):
-        raise CommandError(f"{results.folder} was not pushed, because its commands lead to other results: {finding}")
+        raise CommandError(
+            f"{results.folder} was not pushed, because its commands lead to other results: "
+            f"{finding}"
+        )
     return ""
 
 
 def _with_doubt(text: str, name: str, doubt: str) -> str:
-    """Return the text of a card that says in its first line why results were not replayed; none if they were."""
+    """Return the text of a card that says in its first line why results were not replayed; none if
+    they were.
+    """
     mark = f"> The results `{name}` were not replayed before they were pushed:"
     rest = "\n".join(line for line in text.split("\n") if not line.startswith(mark)).strip()
     return f"{mark} {doubt}.\n\n{rest}\n" if doubt else f"{rest}\n"
@@ -296,12 +368,17 @@ def push_environment(options: Options, repository: Repository) -> str:
 
 
 PUSHES: dict[str, Callable[[Options, Repository], str]] = {
-    "dataset": push_dataset, "checkpoint": push_checkpoint, "results": push_results, "environment": push_environment,
-}  # fmt: skip
+    "dataset": push_dataset,
+    "checkpoint": push_checkpoint,
+    "results": push_results,
+    "environment": push_environment,
+}
 
 
 def _check_policy(results: Results, repository: Repository, said: str) -> None:
-    """Refuse results of another policy than the repository's, unless the user ``said`` that it is the same."""
+    """Refuse results of another policy than the repository's, unless the user ``said`` that it is
+    the same.
+    """
     policy, weights = results.info.policy, results.info.extra.get(WEIGHTS) or {}
     here = f"{repository.name}: {results.folder} is of {policy}"
     if said and said != policy:
@@ -310,7 +387,8 @@ def _check_policy(results: Results, repository: Repository, said: str) -> None:
     same = bool(weights) and all(there.get(name) == sha256 for name, sha256 in weights.items())
     if not (said or same or (policy == repository.name and not weights)):
         raise CommandError(
-            f"{here}, and nothing shows that this repository holds it; push that checkpoint, or add --policy {policy} "
+            f"{here}, and nothing shows that this repository holds it; push that checkpoint, or "
+            f"add --policy {policy} "
             "if it does"
         )
 
@@ -318,7 +396,8 @@ def _check_policy(results: Results, repository: Repository, said: str) -> None:
 def variant(results: Results) -> str:
     """Return a folder name for the conditions of an evaluation; others have another one.
 
-    It says the rules, whatever of the recipe is not the benchmark's, and the number of episodes of a part of a split.
+    It says the rules, whatever of the recipe is not the benchmark's, and the number of episodes of
+    a part of a split.
 
     Raises:
         ReadError: if the results do not say what was played.
@@ -327,7 +406,11 @@ def variant(results: Results) -> str:
     info = results.info
     words = [info.benchmark, info.split, info.capture, results.rules["control_class"]]
     words += [_text(info.extra[name]) for name in ("inference", "settings") if info.extra.get(name)]
-    words += [f"{name}_{_text(value)}" for name, (value, _) in changed_rules(results).items() if name != "salt"]
+    words += [
+        f"{name}_{_text(value)}"
+        for name, (value, _) in changed_rules(results).items()
+        if name != "salt"
+    ]
     if len(results.rows) != BENCHMARK.splits[split_of(info.split)].size:
         words.append(f"{len(results.rows)}_episodes")
     name = re.sub(r"[^A-Za-z0-9.-]+", "_", "_".join(words)).strip("_.")
@@ -338,10 +421,11 @@ def variant(results: Results) -> str:
 CARD = """
 # {{ name }}
 
-A `{{ type }}` policy of [LeRobot](https://github.com/huggingface/lerobot) for catching moving objects with a
-dexterous hand.
+A `{{ type }}` policy of [LeRobot](https://github.com/huggingface/lerobot) for catching moving
+objects with a dexterous hand.
 {%- if rules %} It was trained for
-{%- for key, value in rules.items() %} {{ key }} `{{ value }}`{{ "." if loop.last else "," }}{% endfor %}{% endif %}
+{%- for key, value in rules.items() %} {{ key }} `{{ value }}`{{ "." if loop.last else "," }}
+{%- endfor %}{% endif %}
 
 ```bash
 pip install ".[lerobot]" ./envs/lerobot_env_dynahoi{{ needed }}   # in a checkout of dynahoi-lerobot
@@ -371,7 +455,11 @@ def checkpoint_card(folder: Path, repo: str) -> ModelCard:
     )  # fmt: skip
     told = {"control_mode": JOINTS} | trained_for(folder)
     body = markdown_template(CARD).render(
-        name=repo.rpartition("/")[2], type=kind, repo=repo, needed=needed, rules=dict(sorted(told.items()))
+        name=repo.rpartition("/")[2],
+        type=kind,
+        repo=repo,
+        needed=needed,
+        rules=dict(sorted(told.items())),
     )
     return ModelCard(f"---\n{data.to_yaml()}\n---\n{body}")
 
@@ -384,18 +472,24 @@ def with_results(card: ModelCard, repo: str, results: Results, name: str) -> Mod
     held = [entry for entry in data.eval_results or [] if entry.dataset_name != name]
     held += [
         EvalResult(
-            task_type="robotics", dataset_type="dynahoi", dataset_name=name, dataset_split=results.info.split,
-            metric_type=metric, metric_value=round(value, 4),
+            task_type="robotics",
+            dataset_type="dynahoi",
+            dataset_name=name,
+            dataset_split=results.info.split,
+            metric_type=metric,
+            metric_value=round(value, 4),
         )
         for metric in SHOWN_METRICS
         if (value := results.summary[metric].value) is not None
-    ]  # fmt: skip
+    ]
     data.eval_results, data.model_name = held, repo
     return card
 
 
 def _sentence(error: BaseException) -> str:
-    """Say what stopped an upload: the client names the Hub's answer, or the broken connection, as a cause."""
+    """Say what stopped an upload: the client names the Hub's answer, or the broken connection, as a
+    cause.
+    """
     import httpx
     from huggingface_hub import constants
     from huggingface_hub.errors import HfHubHTTPError, OfflineModeIsEnabled
@@ -411,4 +505,8 @@ def _sentence(error: BaseException) -> str:
 
 
 def _text(value: Any) -> str:
-    return "_".join(map(str, value)) if isinstance(value, Sequence) and not isinstance(value, str) else str(value)
+    return (
+        "_".join(map(str, value))
+        if isinstance(value, Sequence) and not isinstance(value, str)
+        else str(value)
+    )

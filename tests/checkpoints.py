@@ -11,9 +11,18 @@ from lerobot_policy_obact import ObActConfig
 
 SHIPPED = Path(__file__).parents[1] / "checkpoints" / "obact_standard"
 SMALL_GR00T = {
-    "n_layers": 2, "n_heads": 2, "head_dim": 8, "hidden_dim": 16, "memory_dim": 16, "n_adapter_layers": 1,
-    "n_adapter_heads": 2, "n_future_tokens": 3, "max_state_dim": 5, "max_action_dim": 4, "dropout": 0.0,
-}  # fmt: skip
+    "n_layers": 2,
+    "n_heads": 2,
+    "head_dim": 8,
+    "hidden_dim": 16,
+    "memory_dim": 16,
+    "n_adapter_layers": 1,
+    "n_adapter_heads": 2,
+    "n_future_tokens": 3,
+    "max_state_dim": 5,
+    "max_action_dim": 4,
+    "dropout": 0.0,
+}
 """Options of ObAct's head gr00t."""
 FEATURES = {
     "input_features": {
@@ -21,14 +30,20 @@ FEATURES = {
         "observation.state": PolicyFeature(FeatureType.STATE, (18,)),
     },
     "output_features": {"action": PolicyFeature(FeatureType.ACTION, (18,))},
-    "normalization_mapping": dict.fromkeys(("VISUAL", "ENV", "STATE", "ACTION"), NormalizationMode.IDENTITY),
+    "normalization_mapping": dict.fromkeys(
+        ("VISUAL", "ENV", "STATE", "ACTION"), NormalizationMode.IDENTITY
+    ),
     "device": "cpu",
     "push_to_hub": False,
 }
 
 
-def saved(config: PreTrainedConfig, folder: Path, stats: dict[str, dict[str, torch.Tensor]] | None = None) -> Path:
-    """Write a checkpoint with random weights, none of them zero, and statistics of its normalisers."""
+def saved(
+    config: PreTrainedConfig, folder: Path, stats: dict[str, dict[str, torch.Tensor]] | None = None
+) -> Path:
+    """Write a checkpoint with random weights, none of them zero, and statistics of its
+    normalisers.
+    """
     torch.manual_seed(0)
     policy = get_policy_class(config.type)(config)
     for weight in policy.parameters():
@@ -41,14 +56,31 @@ def saved(config: PreTrainedConfig, folder: Path, stats: dict[str, dict[str, tor
 
 def tiny_act(folder: Path, inputs: dict[str, PolicyFeature]) -> Path:
     """Write an ACT that executes chunks of eight."""
-    small = {"dim_model": 32, "n_heads": 2, "dim_feedforward": 32, "n_encoder_layers": 1, "n_decoder_layers": 1}
-    small |= {"chunk_size": 8, "n_action_steps": 8, "use_vae": False, "pretrained_backbone_weights": None}
+    small = {
+        "dim_model": 32,
+        "n_heads": 2,
+        "dim_feedforward": 32,
+        "n_encoder_layers": 1,
+        "n_decoder_layers": 1,
+    }
+    small |= {
+        "chunk_size": 8,
+        "n_action_steps": 8,
+        "use_vae": False,
+        "pretrained_backbone_weights": None,
+    }
     return saved(ACTConfig(**small, **FEATURES | {"input_features": inputs}), folder)
 
 
 def tiny_diffusion(folder: Path) -> Path:
     """Write a Diffusion Policy that sees the target's true state and no image."""
-    small = {"down_dims": (16, 32), "n_groups": 4, "horizon": 8, "n_action_steps": 4, "n_obs_steps": 2}
+    small = {
+        "down_dims": (16, 32),
+        "n_groups": 4,
+        "horizon": 8,
+        "n_action_steps": 4,
+        "n_obs_steps": 2,
+    }
     small |= {"noise_scheduler_type": "DDIM", "num_inference_steps": 2}
     inputs = {
         name: PolicyFeature(type_, (size,))
@@ -61,8 +93,22 @@ def tiny_diffusion(folder: Path) -> Path:
 
 
 def tiny_obact(folder: Path) -> Path:
-    """Write an ObAct for images of 32 pixels, which sees six frames and executes half of its chunks of eight."""
-    small = {"dim": 16, "n_heads": 2, "width": 32, "n_points": 4, "head_options": {"width": 16}, "ema_decay": 0.0}
-    small |= {"encoder": "conv", "encoder_options": {"channels": 8}, "freeze_encoder": False, "horizon": 8}
+    """Write an ObAct for images of 32 pixels, which sees six frames and executes half of its chunks
+    of eight.
+    """
+    small = {
+        "dim": 16,
+        "n_heads": 2,
+        "width": 32,
+        "n_points": 4,
+        "head_options": {"width": 16},
+        "ema_decay": 0.0,
+    }
+    small |= {
+        "encoder": "conv",
+        "encoder_options": {"channels": 8},
+        "freeze_encoder": False,
+        "horizon": 8,
+    }
     small |= {"n_obs_frames": 5, "obs_stride": 2, "n_action_steps": 4}
     return saved(ObActConfig(**small, **FEATURES), folder)

@@ -1,4 +1,6 @@
-"""What several tests need and is expensive: made once, by the first worker that needs it, and changed by no test."""
+"""What several tests need and is expensive: made once, by the first worker that needs it, and
+changed by no test.
+"""
 
 import fcntl
 import functools
@@ -20,12 +22,16 @@ from tests.dataset.episodes import write
 from tests.menagerie import gather_menagerie
 from tests.world.playing import SMALL
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # each worker has a core; more threads of torch fight over them
+os.environ.setdefault(
+    "OMP_NUM_THREADS", "1"
+)  # each worker has a core; more threads of torch fight over them
 
 
 @pytest.fixture(scope="session", autouse=True)
 def menagerie(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Every test finds the robot hands of MuJoCo Menagerie, real ones where this machine has them, else stand-ins."""
+    """Every test finds the robot hands of MuJoCo Menagerie, real ones where this machine has them,
+    else stand-ins.
+    """
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("MENAGERIE_ROOT", str(gather_menagerie(tmp_path_factory.mktemp("menagerie"))))
         yield
@@ -36,7 +42,9 @@ Once = Callable[[str, Callable[[Path], Any]], Any]
 
 @pytest.fixture(scope="session")
 def once(tmp_path_factory: pytest.TempPathFactory) -> Once:
-    """Return what a function makes of a new folder; if a worker has made what has this name, return that."""
+    """Return what a function makes of a new folder; if a worker has made what has this name, return
+    that.
+    """
     base = tmp_path_factory.getbasetemp()
     shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
 
@@ -59,13 +67,17 @@ def specs(once: Once) -> list[EpisodeSpec]:
 
 @pytest.fixture(scope="session")
 def in_class(specs: list[EpisodeSpec], once: Once) -> Callable[[str], list[Episode]]:
-    """The expert's evaluation in a control class, on ``specs`` or the first half of them, in order, without images."""
+    """The expert's evaluation in a control class, on ``specs`` or the first half of them, in order,
+    without images.
+    """
 
     @functools.cache
     def in_class(name: str) -> list[Episode]:
         chosen = specs if name == "standard" else specs[:22]
         batch = WorldBatch(SMALL.changed(control_class=name), 22, threads=1)
-        return once(f"in class {name}", lambda _: by_seed(evaluate(batch, EXPERTS["intercept"](), chosen)))
+        return once(
+            f"in class {name}", lambda _: by_seed(evaluate(batch, EXPERTS["intercept"](), chosen))
+        )
 
     return in_class
 
@@ -77,10 +89,14 @@ def expert_episodes(in_class: Callable[[str], list[Episode]]) -> list[Episode]:
 
 @pytest.fixture(scope="session")
 def contact_episodes(once: Once) -> list[Episode]:
-    """The expert's evaluation on the first 22 episodes of ``test`` under contact, without images."""
+    """The expert's evaluation on the first 22 episodes of ``test`` under contact, without
+    images.
+    """
     recipe = SMALL.changed(capture="contact")
     batch, expert = WorldBatch(recipe, 22, threads=1), EXPERTS["match"]()
-    return once("contact", lambda _: by_seed(evaluate(batch, expert, sample_specs(recipe, range(22)))))
+    return once(
+        "contact", lambda _: by_seed(evaluate(batch, expert, sample_specs(recipe, range(22))))
+    )
 
 
 def by_seed(episodes: Iterator[Episode]) -> list[Episode]:

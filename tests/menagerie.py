@@ -1,4 +1,6 @@
-"""Stand-ins for the robot hands of MuJoCo Menagerie: the same names, joints and signs, round sizes."""
+"""Stand-ins for the robot hands of MuJoCo Menagerie: the same names, joints and signs, round
+sizes.
+"""
 
 from pathlib import Path
 
@@ -9,11 +11,18 @@ from dynahoi_lerobot.hands.robot import RobotHand
 
 DAMPING, ARMATURE, TORQUE_NM = 0.05, 0.0002, 1.0
 SHARPA_FINGERS = {"index": -0.03, "middle": -0.01, "ring": 0.01, "pinky": 0.03}
-SHADOW_FINGERS = {"FF": (-0.033, 0.095), "MF": (-0.011, 0.099), "RF": (0.011, 0.095), "LF": (0.033, 0.087)}
+SHADOW_FINGERS = {
+    "FF": (-0.033, 0.095),
+    "MF": (-0.011, 0.099),
+    "RF": (0.011, 0.095),
+    "LF": (0.033, 0.087),
+}
 
 
 def gather_menagerie(root: Path) -> Path:
-    """Fill ``root`` with each table's model, the real one where this machine has it, and return ``root``."""
+    """Fill ``root`` with each table's model, the real one where this machine has it, and return
+    ``root``.
+    """
     cache, stand_ins = mujoco_menagerie.Cache(), {"sharpa_wave": sharpa, "shadow_hand": shadow}
     entries = {hand.model: hand.entry for _, hand in HANDS.items() if isinstance(hand, RobotHand)}
     for name, entry in entries.items():
@@ -42,8 +51,13 @@ def mesh(name: str, x: float, y: float, low: float, high: float) -> str:
 
 def body(name: str, joint: str, inside: str, place: str = "", *, heavy: bool = True) -> str:
     """A body with a joint, if ``joint`` has its attributes, and what is inside it."""
-    inertial = f'<inertial pos="0 0 0.01" mass="{0.02 if heavy else 0.002}" diaginertia="2e-6 2e-6 1e-6"/>'
-    return f'<body name="{name}" {place}>{inertial}{f"<joint {joint}/>" if joint else ""}{inside}</body>'
+    inertial = (
+        f'<inertial pos="0 0 0.01" mass="{0.02 if heavy else 0.002}" diaginertia="2e-6 2e-6 1e-6"/>'
+    )
+    return (
+        f'<body name="{name}" '
+        f"{place}>{inertial}{f'<joint {joint}/>' if joint else ''}{inside}</body>"
+    )
 
 
 def capsule(radius: float, along: str) -> str:
@@ -51,7 +65,9 @@ def capsule(radius: float, along: str) -> str:
 
 
 def sharpa() -> str:
-    """It has no motors' limits, but joints'; what its joints are called follows from the kind of finger."""
+    """It has no motors' limits, but joints'; what its joints are called follows from the kind of
+    finger.
+    """
     bodies = sharpa_thumb() + "".join(sharpa_finger(name, y) for name, y in SHARPA_FINGERS.items())
     visual = '<geom type="sphere" size="0.05" contype="0" conaffinity="0" mass="0.7"/>'
     palm = f'<body name="left_hand_C_MC">{visual}<geom type="mesh" mesh="palm"/>{bodies}</body>'
@@ -63,7 +79,11 @@ def sharpa_link(joint: str, span: str, length: float, inside: str, place: str) -
     limits = f'range="{span}" actuatorfrcrange="-{TORQUE_NM} {TORQUE_NM}"'
     geom = capsule(0.009, f"{length} 0 0") if length else ""
     return body(
-        f"left_{joint}_body", f'name="left_{joint}" axis="0 0 1" {limits}', geom + inside, place, heavy=length > 0
+        f"left_{joint}_body",
+        f'name="left_{joint}" axis="0 0 1" {limits}',
+        geom + inside,
+        place,
+        heavy=length > 0,
     )
 
 
@@ -74,7 +94,9 @@ def sharpa_tip(name: str, x: float) -> str:
 def sharpa_finger(name: str, y: float) -> str:
     """Knuckle, abduction, and two further flexions; the little finger hangs on one joint more."""
     end = sharpa_link(f"{name}_DIP", "0 1.4", 0.024, sharpa_tip(name, 0.026), 'pos="0.03 0 0"')
-    middle = sharpa_link(f"{name}_PIP", "0 1.75", 0.028, end, 'pos="0.047 0 0" quat="0.7071 -0.7071 0 0"')
+    middle = sharpa_link(
+        f"{name}_PIP", "0 1.75", 0.028, end, 'pos="0.047 0 0" quat="0.7071 -0.7071 0 0"'
+    )
     spread = sharpa_link(f"{name}_MCP_AA", "-0.35 0.35", 0.045, middle, 'quat="0.7071 0.7071 0 0"')
     at, turn = f'pos="0 {y} 0.096"', 'quat="0.5 -0.5 -0.5 -0.5"'
     if name != "pinky":
@@ -84,9 +106,15 @@ def sharpa_finger(name: str, y: float) -> str:
 
 
 def sharpa_thumb() -> str:
-    """It points away from the fingers and swings before the palm; its knuckle is counted the other way round."""
+    """It points away from the fingers and swings before the palm; its knuckle is counted the other
+    way round.
+    """
     end = sharpa_link(
-        "thumb_IP", "0 1.75", 0.026, sharpa_tip("thumb", 0.0276), 'pos="0.039 0 0" quat="0.7071 -0.7071 0 0"'
+        "thumb_IP",
+        "0 1.75",
+        0.026,
+        sharpa_tip("thumb", 0.0276),
+        'pos="0.039 0 0" quat="0.7071 -0.7071 0 0"',
     )
     spread = sharpa_link("thumb_MCP_AA", "-0.35 0.35", 0.037, end, 'quat="0.7071 0.7071 0 0"')
     flexed = sharpa_link("thumb_MCP_FE", "-1.4 0.52", 0.0, spread, 'pos="0.06 0 0" quat="0 1 0 0"')
@@ -97,17 +125,28 @@ def sharpa_thumb() -> str:
 
 def shadow() -> str:
     """A wrist that moves, a palm, and fingers whose last two joints one tendon pulls."""
-    bodies = shadow_thumb() + "".join(shadow_finger(name, x, z) for name, (x, z) in SHADOW_FINGERS.items())
-    palm = body("lh_palm", 'name="lh_WRJ1"', f'<geom type="box" size="0.035 0.011 0.049" pos="0 0 0.04"/>{bodies}')
-    arm = body("lh_forearm", 'type="free"', f'<geom type="sphere" size="0.04" pos="0 0 -0.1"/>{palm}')
+    bodies = shadow_thumb() + "".join(
+        shadow_finger(name, x, z) for name, (x, z) in SHADOW_FINGERS.items()
+    )
+    palm = body(
+        "lh_palm",
+        'name="lh_WRJ1"',
+        f'<geom type="box" size="0.035 0.011 0.049" pos="0 0 0.04"/>{bodies}',
+    )
+    arm = body(
+        "lh_forearm", 'type="free"', f'<geom type="sphere" size="0.04" pos="0 0 -0.1"/>{palm}'
+    )
     pulled = [(f"lh_{name}J2", f"lh_{name}J1") for name in SHADOW_FINGERS]
     tendons = "".join(
-        f'<fixed name="{a}"><joint joint="{a}" coef="1"/><joint joint="{b}" coef="1"/></fixed>' for a, b in pulled
+        f'<fixed name="{a}"><joint joint="{a}" coef="1"/><joint joint="{b}" coef="1"/></fixed>'
+        for a, b in pulled
     )
     motors = "".join(f'<position tendon="{a}"/>' for a, _ in pulled)
     motors += "".join(f'<position joint="lh_{name}J3"/>' for name in SHADOW_FINGERS)
     motors += "".join(f'<position joint="lh_THJ{number}"/>' for number in range(1, 6))
-    meshes = mesh("tip", 0.0085, 0.0075, 0.005, 0.032) + mesh("thumb_tip", 0.0105, 0.009, 0.003, 0.035)
+    meshes = mesh("tip", 0.0085, 0.0075, 0.005, 0.032) + mesh(
+        "thumb_tip", 0.0105, 0.009, 0.003, 0.035
+    )
     return model(meshes, arm, f"<tendon>{tendons}</tendon><actuator>{motors}</actuator>")
 
 
@@ -119,11 +158,20 @@ def shadow_finger(name: str, x: float, z: float) -> str:
         'pos="0 0 0.025"',
     )
     inside = capsule(0.009, "0 0 0.025") + end
-    middle = body(f"lh_{name}2", f'name="lh_{name}J2" axis="1 0 0" range="0 1.57"', inside, 'pos="0 0 0.045"')
-    first = body(
-        f"lh_{name}3", f'name="lh_{name}J3" axis="1 0 0" range="-0.26 1.57"', capsule(0.009, "0 0 0.045") + middle
+    middle = body(
+        f"lh_{name}2", f'name="lh_{name}J2" axis="1 0 0" range="0 1.57"', inside, 'pos="0 0 0.045"'
     )
-    return body(f"lh_{name}4", f'name="lh_{name}J4" axis="0 1 0" range="-0.35 0.35"', first, f'pos="{x} 0 {z}"')
+    first = body(
+        f"lh_{name}3",
+        f'name="lh_{name}J3" axis="1 0 0" range="-0.26 1.57"',
+        capsule(0.009, "0 0 0.045") + middle,
+    )
+    return body(
+        f"lh_{name}4",
+        f'name="lh_{name}J4" axis="0 1 0" range="-0.35 0.35"',
+        first,
+        f'pos="{x} 0 {z}"',
+    )
 
 
 def shadow_thumb() -> str:
@@ -133,8 +181,14 @@ def shadow_thumb() -> str:
         '<geom type="mesh" mesh="thumb_tip"/>',
         'pos="0 0 0.032" quat="1 0 0 -1"',
     )
-    middle = body("lh_TH2", 'name="lh_THJ2" axis="0 -1 0" range="-0.7 0.7"', capsule(0.01, "0 0 0.03") + end)
-    hub = body("lh_TH3", 'name="lh_THJ3" axis="-1 0 0" range="-0.21 0.21"', middle, 'pos="0 0 0.038"')
-    swung = body("lh_TH4", 'name="lh_THJ4" axis="-1 0 0" range="0 1.22"', capsule(0.0105, "0 0 0.035") + hub)
+    middle = body(
+        "lh_TH2", 'name="lh_THJ2" axis="0 -1 0" range="-0.7 0.7"', capsule(0.01, "0 0 0.03") + end
+    )
+    hub = body(
+        "lh_TH3", 'name="lh_THJ3" axis="-1 0 0" range="-0.21 0.21"', middle, 'pos="0 0 0.038"'
+    )
+    swung = body(
+        "lh_TH4", 'name="lh_THJ4" axis="-1 0 0" range="0 1.22"', capsule(0.0105, "0 0 0.035") + hub
+    )
     turned = 'pos="-0.034 -0.0086 0.029" quat="0 -0.382683 0 0.92388"'
     return body("lh_TH5", 'name="lh_THJ5" axis="0 0 1" range="-1.05 1.05"', swung, turned)

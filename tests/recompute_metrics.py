@@ -1,7 +1,9 @@
-"""Computes the paper's seven metrics from a dataset's parquet files, with nothing but pandas, numpy and pyarrow.
+"""Computes the paper's seven metrics from a dataset's parquet files, with nothing but pandas, numpy
+and pyarrow.
 
-It is written from the definitions of the paper (Section "Evaluation metrics" and Appendix "Evaluation Criteria") and
-imports nothing of the package, so it is also an example of how others can read the dataset::
+It is written from the definitions of the paper (Section "Evaluation metrics" and Appendix
+"Evaluation Criteria") and imports nothing of the package, so it is also an example of how others
+can read the dataset::
 
     python tests/recompute_metrics.py DATASET
 """
@@ -24,32 +26,43 @@ STILL_M = 1e-3
 
 
 def metrics(root: Path) -> pd.DataFrame:
-    """Return S_loc, S_gra, E_loc, E_gra, Q_smooth, Q_line and R_time of each episode, indexed by ``episode_index``.
+    """Return S_loc, S_gra, E_loc, E_gra, Q_smooth, Q_line and R_time of each episode, indexed by
+    ``episode_index``.
 
     S_gra is NaN where the target was never localised. E_loc and E_gra are in u (0.1 m).
     """
     episodes = _table(root / "meta" / "episodes").set_index("episode_index")
-    frames = _table(root / "data").sort_values(["episode_index", "frame_index"]).groupby("episode_index")
+    frames = (
+        _table(root / "data").sort_values(["episode_index", "frame_index"]).groupby("episode_index")
+    )
     rows = {index: _metrics(episodes.loc[index], frame) for index, frame in frames}
     return pd.DataFrame.from_dict(rows, orient="index")
 
 
 def fingertip_distance(episode: pd.Series, frames: pd.DataFrame) -> np.ndarray:
-    """Return (T,) the least distance of a fingertip to the object's surface [m], 0 inside, from poses and solids."""
+    """Return (T,) the least distance of a fingertip to the object's surface [m], 0 inside, from
+    poses and solids.
+    """
     tips = np.reshape(episode["stats/fingertips"], (len(frames), 5, 6))[..., :3].astype(float)
     pose = np.reshape(episode["stats/target.pose"], (len(frames), 7)).astype(float)
-    local = np.einsum("tij,tfi->tfj", _rotation(pose[:, 3:]), tips - pose[:, None, :3])  # object's frame
+    local = np.einsum(
+        "tij,tfi->tfj", _rotation(pose[:, 3:]), tips - pose[:, None, :3]
+    )  # object's frame
     solids = np.reshape(episode["stats/object_primitives"], (-1, 11)).astype(float)
     return np.maximum(np.min([_surface(local, solid) for solid in solids], axis=0).min(axis=1), 0.0)
 
 
 def _table(folder: Path) -> pd.DataFrame:
-    return pd.concat([pq.read_table(path).to_pandas() for path in sorted(folder.glob("*/*.parquet"))])
+    return pd.concat(
+        [pq.read_table(path).to_pandas() for path in sorted(folder.glob("*/*.parquet"))]
+    )
 
 
 def _metrics(episode: pd.Series, frames: pd.DataFrame) -> dict[str, float]:
     start = int(episode["window_frames"])
-    palm_distance = np.asarray(episode["stats/palm_distance"], float)  # least of the step that ends at the frame
+    palm_distance = np.asarray(
+        episode["stats/palm_distance"], float
+    )  # least of the step that ends at the frame
     # the hand moves from frame `start` on
     inside = np.flatnonzero(palm_distance[start + 1 :] < RADIUS_M[episode["capture"]])
     first = start + 1 + int(inside[0]) if inside.size else None
@@ -62,13 +75,17 @@ def _metrics(episode: pd.Series, frames: pd.DataFrame) -> dict[str, float]:
         "E_gra": np.asarray(episode["stats/fingertip_distance"], float)[start:].min() / UNIT_M,
         "Q_smooth": smoothness(path),
         "Q_line": linearity(path),
-        "R_time": 0.0 if first is None else float(np.clip(1 - (first - start) / episode["length_frames"], 0, 1)),
+        "R_time": 0.0
+        if first is None
+        else float(np.clip(1 - (first - start) / episode["length_frames"], 0, 1)),
     }
 
 
 def _grasps(episode: pd.Series, joints: np.ndarray) -> bool:
     """Whether all 15 joints have made 0.9 of the reference rotation, in its direction."""
-    rest, reference = (np.asarray(episode[f"stats/{name}_joints"], float) for name in ("open", "reference"))
+    rest, reference = (
+        np.asarray(episode[f"stats/{name}_joints"], float) for name in ("open", "reference")
+    )
     turned, wanted = joints - rest, reference - rest
     return bool((turned * np.sign(wanted) >= GRASP_SHARE * np.abs(wanted) - 1e-6).all())
 
@@ -107,7 +124,9 @@ def _rotation(quat: np.ndarray) -> np.ndarray:
 
 
 def _surface(points: np.ndarray, solid: np.ndarray) -> np.ndarray:
-    """Signed distance (...) of points (..., 3) in the object's frame to a solid, by MuJoCo's geom type [m]."""
+    """Signed distance (...) of points (..., 3) in the object's frame to a solid, by MuJoCo's geom
+    type [m].
+    """
     kind, size = int(solid[0]), solid[1:4]
     p = (points - solid[4:7]) @ _rotation(solid[7:])
     radial = np.hypot(p[..., 0], p[..., 1])
@@ -118,8 +137,14 @@ def _surface(points: np.ndarray, solid: np.ndarray) -> np.ndarray:
     if kind == 4:  # ellipsoid, to first order
         scaled, gradient = np.linalg.norm(p / size, axis=-1), np.linalg.norm(p / size**2, axis=-1)
         return scaled * (scaled - 1) / gradient
-    beyond = np.stack([radial - size[0], np.abs(p[..., 2]) - size[1]], axis=-1) if kind == 5 else np.abs(p) - size
-    return np.linalg.norm(np.maximum(beyond, 0), axis=-1) + np.minimum(beyond.max(axis=-1), 0)  # cylinder, box
+    beyond = (
+        np.stack([radial - size[0], np.abs(p[..., 2]) - size[1]], axis=-1)
+        if kind == 5
+        else np.abs(p) - size
+    )
+    return np.linalg.norm(np.maximum(beyond, 0), axis=-1) + np.minimum(
+        beyond.max(axis=-1), 0
+    )  # cylinder, box
 
 
 if __name__ == "__main__":

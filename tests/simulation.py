@@ -30,7 +30,9 @@ def draw_motion(kind: str, seed: int, object_name: str | None = None) -> Drawn:
     """Draw a motion of ``kind`` with the timing of a sampled episode."""
     rng = np.random.default_rng([seed, 7])
     timing = draw_timing(kind, "observe_before_act", rng)
-    allowed = [name for name in BENCHMARK.splits["train"].objects if MOTIONS[kind].suits(OBJECTS[name])]
+    allowed = [
+        name for name in BENCHMARK.splits["train"].objects if MOTIONS[kind].suits(OBJECTS[name])
+    ]
     name = object_name or str(rng.choice(allowed))
     target = OBJECTS[name].sample(rng)
     window_s = timing.window_frames * CONTROL_DT
@@ -50,7 +52,8 @@ class Track:
     """What target and striker did, one row per physics step.
 
     Attributes:
-        time: (K,) [s]; ``pos``: (K, 3) [m]; ``velocity``: (K, 3) [m/s]; ``quat``: (K, 4) wxyz, world.
+        time: (K,) [s]; ``pos``: (K, 3) [m]; ``velocity``: (K, 3) [m/s]; ``quat``: (K, 4) wxyz,
+            world.
         spin: (K, 3) angular velocity [rad/s], target frame.
         striker_speed: (K,) [m/s] along its slide.
     """
@@ -63,15 +66,21 @@ class Track:
     striker_speed: np.ndarray
 
 
-def simulate(motion: Motion, target: TargetObject, seconds: float, driven_frames: int | None = None) -> Track:
-    """Let ``target`` perform ``motion`` with nobody near; what drives it may stop after some frames."""
+def simulate(
+    motion: Motion, target: TargetObject, seconds: float, driven_frames: int | None = None
+) -> Track:
+    """Let ``target`` perform ``motion`` with nobody near; what drives it may stop after some
+    frames.
+    """
     scene = compile_scene()
     batch = Batch(scene.model, nsim=1, nthread=1)
     rows, one = WorldFields(batch, scene), np.array([0])
     frames = int(np.ceil(seconds * 20))
     rows.reset(one)
     force_w = rows.write_world(0, motion, target, frames, ENVIRONMENT)
-    rows.qpos[:, scene.hand_qpos] = batch.bind("ctrl")[:] = np.concatenate([PARKED_PALM_W, scene.hand.open_joints()])
+    rows.qpos[:, scene.hand_qpos] = batch.bind("ctrl")[:] = np.concatenate(
+        [PARKED_PALM_W, scene.hand.open_joints()]
+    )
     rows.finish(one)
     force = np.zeros((1, frames * SUBSTEPS, scene.model.nv))
     force[0, :, scene.target_dof : scene.target_dof + 3] = force_w.reshape(-1, 3)
@@ -80,7 +89,10 @@ def simulate(motion: Motion, target: TargetObject, seconds: float, driven_frames
     applied = mujoco.mjtState.mjSTATE_QFRC_APPLIED.value
     record = batch.rollout(force.shape[1], force, applied, record=("qpos", "qvel"))
     assert not np.any(batch.warning), "the simulation is unstable"
-    qpos, qvel = np.vstack([first_qpos, record["qpos"][0]]), np.vstack([first_qvel, record["qvel"][0]])
+    qpos, qvel = (
+        np.vstack([first_qpos, record["qpos"][0]]),
+        np.vstack([first_qvel, record["qvel"][0]]),
+    )
     at, dof = scene.target_qpos, scene.target_dof
     return Track(
         time=np.arange(len(qpos)) * PHYSICS_DT,

@@ -1,4 +1,6 @@
-"""Synthetic episodes for tests that need no simulator: a straight reach that catches a constantly moving point."""
+"""Synthetic episodes for tests that need no simulator: a straight reach that catches a constantly
+moving point.
+"""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -31,11 +33,16 @@ CONSTANTS: dict = {
     "hand_limits": np.array([0.5, 20.0, 0.0], np.float32),
     "first_plan": np.array([0.5, 1.0], np.float32),
 }
-"""What does not change within an episode: a ball, seen by cameras with a field of view of 90 degrees."""
+"""What does not change within an episode: a ball, seen by cameras with a field of view of 90
+degrees."""
 
 
-def synthetic_episode(seed: int = 0, frames: int = 40, image_size: int | None = 32, miss_m: float = 0.0) -> Episode:
-    """Return an episode whose palm moves at constant speed and passes ``miss_m`` beside the target."""
+def synthetic_episode(
+    seed: int = 0, frames: int = 40, image_size: int | None = 32, miss_m: float = 0.0
+) -> Episode:
+    """Return an episode whose palm moves at constant speed and passes ``miss_m`` beside the
+    target.
+    """
     rng = np.random.default_rng(seed)
     window = max(8, frames // 5)
     arrival = window + (frames - window) // 2
@@ -62,31 +69,51 @@ def synthetic_episode(seed: int = 0, frames: int = 40, image_size: int | None = 
         images["ego"] = ego + (np.arange(frames, dtype=np.uint8) % 50)[:, None, None, None]
     pose = np.hstack([target, np.tile([1.0, 0, 0, 0], (frames, 1))])
     meta = EpisodeMeta(
-        seed=seed, split="train", motion="constant", category="straight_line", object="ball",
+        seed=seed,
+        split="train",
+        motion="constant",
+        category="straight_line",
+        object="ball",
         parameters=motion.parameters(),
         task="Catch the moving ball.",
-        agent="intercept", capture="attach", protocol="observe_before_act", control_class="standard",
+        agent="intercept",
+        capture="attach",
+        protocol="observe_before_act",
+        control_class="standard",
         window_frames=window,
-        length_frames=frames, intercept_frame=arrival, attempts=1, fingerprint="synthetic",
+        length_frames=frames,
+        intercept_frame=arrival,
+        attempts=1,
+        fingerprint="synthetic",
         benchmark=BENCHMARK.version,
-    )  # fmt: skip
+    )
     return Episode(
-        meta=meta, images=images, state=state,
+        meta=meta,
+        images=images,
+        state=state,
         fingertips=np.tile(state[:, :3], (1, 10)).astype(np.float32),
-        phase=one_hot_phase(np.arange(frames) >= window), action=command,
-        given_action=command, executed_action=command,
+        phase=one_hot_phase(np.arange(frames) >= window),
+        action=command,
+        given_action=command,
+        executed_action=command,
         target_pose=pose.astype(np.float32),
         target_velocity=np.tile(np.r_[velocity, 0, 0, 0], (frames, 1)).astype(np.float32),
         target_path=path.astype(np.float32),
         target_contacts=np.tile(tips[:, None] <= TOUCH_M, (1, 5)).astype(np.float32),
         palm_distance=distance.astype(np.float32),
-        fingertip_distance=tips.astype(np.float32), localized=localized,
-        captured=localized, intercept_position=meeting.astype(np.float32), intercept_time=arrival * CONTROL_DT,
+        fingertip_distance=tips.astype(np.float32),
+        localized=localized,
+        captured=localized,
+        intercept_position=meeting.astype(np.float32),
+        intercept_time=arrival * CONTROL_DT,
         home_position=home_w.astype(np.float32),
-        open_joints=np.zeros(15, np.float32), reference_joints=REFERENCE, **CONSTANTS,
-        succeeded=next_frames(localized), success=bool(localized[-1]),
+        open_joints=np.zeros(15, np.float32),
+        reference_joints=REFERENCE,
+        **CONSTANTS,
+        succeeded=next_frames(localized),
+        success=bool(localized[-1]),
         stage="captured" if localized[-1] else "missed",
-    )  # fmt: skip
+    )
 
 
 def write_results(folder: Path, episodes: Iterable[Episode], info: RunInfo) -> Results:

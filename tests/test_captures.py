@@ -1,4 +1,6 @@
-"""Capture rules: the weld at the closest step, the touch that lets go, and what counts as a catch."""
+"""Capture rules: the weld at the closest step, the touch that lets go, and what counts as a
+catch.
+"""
 
 from dataclasses import replace
 from itertools import product
@@ -8,7 +10,12 @@ import pytest
 
 from dynahoi_lerobot.captures import CAPTURES, HELD_FRAMES, Track
 from dynahoi_lerobot.core.agent import Expert, WorldState
-from dynahoi_lerobot.core.conventions import CONTROL_DT, FINGERS, LENIENT_RADIUS_M, LOCALIZATION_RADIUS_M
+from dynahoi_lerobot.core.conventions import (
+    CONTROL_DT,
+    FINGERS,
+    LENIENT_RADIUS_M,
+    LOCALIZATION_RADIUS_M,
+)
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.numerics import quat_to_matrix
 from dynahoi_lerobot.core.spec import EpisodeSpec
@@ -27,7 +34,9 @@ POSE_DRIFT_M, POSE_DRIFT_RAD = 1e-4, 3e-4
 
 
 def passing(spec: EpisodeSpec, speed_m_s: float, miss_m: float, at_s: float) -> EpisodeSpec:
-    """The episode with a target that passes ``miss_m`` in front of the waiting palm at ``at_s``, along y."""
+    """The episode with a target that passes ``miss_m`` in front of the waiting palm at ``at_s``,
+    along y.
+    """
     motion = Constant(tuple(HOME_W + [miss_m, 0.0, 0.0]), (0.0, 1.0, 0.0), at_s, speed_m_s, 0.0)
     path = motion.position(np.arange(spec.horizon_frames) * CONTROL_DT)
     return replace(spec, motion=motion, home_pos_w=HOME_W, target_path_w=path)
@@ -40,8 +49,16 @@ def relative_pose(batch: WorldBatch) -> tuple[np.ndarray, np.ndarray]:
 
 def test_a_target_at_4_m_s_is_caught_at_its_closest_step(specs: list[EpisodeSpec]):
     """It is within reach for 15 ms at most, wherever in the frame that falls."""
-    control, cases = specs[3].window_frames, np.array([*product((0.0, 0.02, 0.029), (0.0, 0.2, 0.5, 0.77))])
-    batch = world([passing(specs[3], 4.0, miss_m, (control + 2 + phase) * CONTROL_DT) for miss_m, phase in cases])
+    control, cases = (
+        specs[3].window_frames,
+        np.array([*product((0.0, 0.02, 0.029), (0.0, 0.2, 0.5, 0.77))]),
+    )
+    batch = world(
+        [
+            passing(specs[3], 4.0, miss_m, (control + 2 + phase) * CONTROL_DT)
+            for miss_m, phase in cases
+        ]
+    )
     for _ in range(control + 3):
         batch.step(batch.executed)
     assert batch.localized.all()
@@ -53,7 +70,9 @@ def test_a_target_at_4_m_s_is_caught_at_its_closest_step(specs: list[EpisodeSpec
 
 
 @pytest.mark.parametrize(("miss_m", "frame"), [(LOCALIZATION_RADIUS_M + 0.001, 2), (0.0, -5)])
-def test_a_target_that_passes_outside_the_radius_or_in_the_window_is_not_caught(miss_m: float, frame: int, specs):
+def test_a_target_that_passes_outside_the_radius_or_in_the_window_is_not_caught(
+    miss_m: float, frame: int, specs
+):
     control = specs[3].window_frames
     batch = world([passing(specs[3], 4.0, miss_m, (control + frame) * CONTROL_DT)])
     for _ in range(control + 5):
@@ -83,7 +102,9 @@ def test_a_welded_target_moves_with_the_hand_as_it_lies(specs: list[EpisodeSpec]
 
 def test_a_welded_target_leaves_its_string_and_its_table(specs: list[EpisodeSpec]):
     """A pendulum, a rolling and a struck target follow the hand upwards for half a metre."""
-    chosen = [next(s for s in specs if s.motion.name == kind) for kind in ("planar", "ramp", "struck")]
+    chosen = [
+        next(s for s in specs if s.motion.name == kind) for kind in ("planar", "ramp", "struck")
+    ]
     near = [replace(spec, home_pos_w=spec.target_path_w[spec.window_frames + 2]) for spec in chosen]
     batch = world(near, control_class="unlimited")
     for _ in range(max(spec.window_frames for spec in chosen) + 5):
@@ -93,19 +114,26 @@ def test_a_welded_target_leaves_its_string_and_its_table(specs: list[EpisodeSpec
     for _ in range(10):
         batch.step(batch.executed + np.eye(18)[2] * 0.05)
     np.testing.assert_allclose(batch.target_pose[:, 2] - before, 0.5, atol=0.005)
-    assert np.linalg.norm(batch.target_pose[:, :3] - batch.state[:, :3], axis=1).max() < LOCALIZATION_RADIUS_M
+    assert (
+        np.linalg.norm(batch.target_pose[:, :3] - batch.state[:, :3], axis=1).max()
+        < LOCALIZATION_RADIUS_M
+    )
 
 
 @pytest.mark.parametrize(
     ("share", "verdict"), [(0.91, True), (0.89, False), (-1.0, False), (1.19, True), (1.21, False)]
 )
-def test_the_grasp_is_judged_at_the_first_localised_frame_and_from_both_sides(share: float, verdict: bool):
+def test_the_grasp_is_judged_at_the_first_localised_frame_and_from_both_sides(
+    share: float, verdict: bool
+):
     reference = np.linspace(0.5, 1.5, 15)
     joints = np.tile(reference, (6, 1))
     joints[3, 11] *= share  # one joint short, at the frame that counts; full everywhere else
     localized = np.arange(6) >= 3
     rule = CAPTURES["attach"]()
-    track = Track(joints, np.zeros(15), reference, localized, no_contacts(6), np.zeros(6), np.zeros((6, 3)))
+    track = Track(
+        joints, np.zeros(15), reference, localized, no_contacts(6), np.zeros(6), np.zeros((6, 3))
+    )
     assert rule.success(track) is verdict
     np.testing.assert_array_equal(rule.succeeded(track), localized & verdict)
     np.testing.assert_array_equal(rule.captured(track), localized & verdict)
@@ -139,10 +167,17 @@ def played(spec: EpisodeSpec, capture: str, miss_m: float) -> Episode:
 def test_success_is_s_joint_whoever_plays(specs: list[EpisodeSpec], capture: str):
     batch = WorldBatch(replace(SMALL, capture=capture), 4, threads=1)
     episodes = [
-        e for name in ("intercept", "pursuit", "blind_path") for e in evaluate(batch, EXPERTS[name](), specs[:4])
+        e
+        for name in ("intercept", "pursuit", "blind_path")
+        for e in evaluate(batch, EXPERTS[name](), specs[:4])
     ]
     for episode in episodes:
-        assert episode.success == measure(episode)["S_joint"] == episode.captured.any() == episode.reward.any()
+        assert (
+            episode.success
+            == measure(episode)["S_joint"]
+            == episode.captured.any()
+            == episode.reward.any()
+        )
     assert {episode.stage for episode in episodes} > {"captured"}
 
 
@@ -152,7 +187,9 @@ def test_weld_grasp_and_clock_follow_the_wider_radius(specs: list[EpisodeSpec]):
     assert [missed[name] for name in ("S_loc", "S_gra", "S_joint", "R_time")] == [0, None, 0, 0]
     assert [caught[name] for name in ("S_loc", "S_gra", "S_joint")] == [1, 1, 1]
     first = lenient.first_localized
-    assert caught["R_time"] == pytest.approx(1 - (first - lenient.meta.window_frames) / lenient.meta.length_frames)
+    assert caught["R_time"] == pytest.approx(
+        1 - (first - lenient.meta.window_frames) / lenient.meta.length_frames
+    )
     assert lenient.palm_distance[first] < LENIENT_RADIUS_M
     assert (lenient.stage, lenient.success, strict.stage) == ("captured", True, "missed")
     offset = lenient.target_pose[first:, :3] - lenient.palm_pos_h[first:]
@@ -172,19 +209,29 @@ def constant() -> EpisodeSpec:
 def flying(
     spec: EpisodeSpec, speed_m_s: float, kind: str = "ball", seed: int = 0, friction: float = 0.8
 ) -> EpisodeSpec:
-    """The episode with an object that comes straight at the waiting palm and would be at its centre after 0.5 s."""
+    """The episode with an object that comes straight at the waiting palm and would be at its centre
+    after 0.5 s.
+    """
     motion = Constant(tuple(HOME_W), (-1.0, 0.0, 0.0), 0.5, speed_m_s, 0.0)
     path = motion.position(np.arange(spec.horizon_frames) * CONTROL_DT)
     target = replace(OBJECTS[kind].sample(np.random.default_rng(seed)), friction=friction)
-    return replace(spec, motion=motion, target=target, home_pos_w=HOME_W, target_path_w=path, window_frames=2)
+    return replace(
+        spec, motion=motion, target=target, home_pos_w=HOME_W, target_path_w=path, window_frames=2
+    )
 
 
 def energy_j(batch: WorldBatch, specs: list[EpisodeSpec]) -> np.ndarray:
     """(N,) kinetic and potential energy of the targets."""
     mass = np.array([spec.target.mass_kg for spec in specs])
     inertia = np.array([max(spec.target.inertia) for spec in specs])  # an upper bound is enough
-    linear, angular = (np.sum(part**2, axis=1) for part in np.split(batch.target_velocity, 2, axis=1))
-    return 0.5 * mass * linear + 0.5 * inertia * angular + mass * 9.81 * (batch.target_pose[:, 2] + HOME_W[2])
+    linear, angular = (
+        np.sum(part**2, axis=1) for part in np.split(batch.target_velocity, 2, axis=1)
+    )
+    return (
+        0.5 * mass * linear
+        + 0.5 * inertia * angular
+        + mass * 9.81 * (batch.target_pose[:, 2] + HOME_W[2])
+    )
 
 
 def test_a_target_at_4_m_s_does_not_pass_through_the_palm(constant: EpisodeSpec):
@@ -192,12 +239,17 @@ def test_a_target_at_4_m_s_does_not_pass_through_the_palm(constant: EpisodeSpec)
     batch = world([flying(constant, 4.0, kind) for kind in kinds], capture="contact")
     for _ in range(14):
         batch.step(batch.executed)
-        assert (batch.target_pose[:, 0] - batch.state[:, 0] > PALM_BACK_M).all(), "it would be behind the palm"
+        assert (batch.target_pose[:, 0] - batch.state[:, 0] > PALM_BACK_M).all(), (
+            "it would be behind the palm"
+        )
     assert (batch.target_velocity[:, 0] > -1.0).all(), "the palm has stopped it"
 
 
 def test_a_still_hand_gives_no_energy(constant: EpisodeSpec):
-    specs = [flying(constant, speed, friction=share) for speed, share in product((0.5, 2.0, 4.0), (0.6, 1.1))]
+    specs = [
+        flying(constant, speed, friction=share)
+        for speed, share in product((0.5, 2.0, 4.0), (0.6, 1.1))
+    ]
     batch = world(specs, capture="contact")
     start = energy_j(batch, specs)
     for _ in range(20):
@@ -207,12 +259,16 @@ def test_a_still_hand_gives_no_energy(constant: EpisodeSpec):
 
 
 def test_the_first_touch_lets_go_without_a_jump(constant: EpisodeSpec):
-    """Up to the touch the target is on its path; in the frame of the touch its velocity changes by what pushes it."""
+    """Up to the touch the target is on its path; in the frame of the touch its velocity changes by
+    what pushes it.
+    """
     spec = flying(constant, 0.5)
     batch = world([spec], capture="contact")
     while not batch.contacts.by_hand[0]:
         frame = batch.frame[0]
-        np.testing.assert_allclose(batch.target_pose[0, :3], spec.target_path_w[frame] - HOME_W, atol=1e-9)
+        np.testing.assert_allclose(
+            batch.target_pose[0, :3], spec.target_path_w[frame] - HOME_W, atol=1e-9
+        )
         before = batch.target_pose[0, :3].copy()
         batch.step(batch.executed)
     assert np.linalg.norm(batch.target_pose[0, :3] - before) < 0.5 * CONTROL_DT + 0.005
@@ -223,7 +279,9 @@ def test_the_first_touch_lets_go_without_a_jump(constant: EpisodeSpec):
 
 
 def test_the_touch_of_the_first_frame_is_the_mean_over_it(constant: EpisodeSpec):
-    """Force times duration is the momentum that the palm gives the target, in whichever physics step they meet."""
+    """Force times duration is the momentum that the palm gives the target, in whichever physics
+    step they meet.
+    """
     specs = [flying(constant, speed_m_s) for speed_m_s in (1.0, 1.7, 2.3, 3.1)]
     batch, touched = world(specs, capture="contact"), np.zeros(4, bool)
     while not touched.all():
@@ -247,23 +305,33 @@ def test_the_expert_holds_nearly_everything_at_its_first_attempt(contact_episode
 
 
 def test_a_hand_that_stays_open_holds_nothing():
-    assert not any(episode.success for episode in caught(sample_specs(RECIPE, range(4)), expert="hold"))
+    assert not any(
+        episode.success for episode in caught(sample_specs(RECIPE, range(4)), expert="hold")
+    )
 
 
-# -- the verdict ---------------------------------------------------------------------------------------------------
+# -- the verdict -----------------------------------------------------------------------------------
 
 TOUCHING = (*FINGERS, "palm", "others")
 
 
 def track(frames: int = 20, speed_m_s: float = 0.2, **touching: int) -> Track:
-    """A hand on its way in which the named things touch the target during the first so many frames."""
+    """A hand on its way in which the named things touch the target during the first so many
+    frames.
+    """
     touch = np.zeros((frames, len(TOUCHING)))
     for name, until in touching.items():
         touch[:until, TOUCHING.index(name)] = 1.0
     contacts = TargetContacts(touch[:, : len(FINGERS)], touch[:, -2], touch[:, -1])
     palm = np.arange(frames)[:, None] * [0.0, 0.0, speed_m_s * CONTROL_DT]
     return Track(
-        np.zeros((frames, 15)), np.zeros(15), np.zeros(15), np.ones(frames, bool), contacts, np.zeros(frames), palm
+        np.zeros((frames, 15)),
+        np.zeros(15),
+        np.zeros(15),
+        np.ones(frames, bool),
+        contacts,
+        np.zeros(frames),
+        palm,
     )
 
 
@@ -292,4 +360,6 @@ def test_stages(played: Track, stage: str):
     by_frame = [rule.success(played.first(frames)) for frames in range(1, 21)]
     assert rule.succeeded(played).tolist() == by_frame
     assert by_frame == sorted(by_frame), "a success stays one"
-    assert stage != "held" or by_frame.index(True) == HELD_FRAMES - 1, "the frame that completes the hold"
+    assert stage != "held" or by_frame.index(True) == HELD_FRAMES - 1, (
+        "the frame that completes the hold"
+    )

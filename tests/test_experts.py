@@ -1,4 +1,6 @@
-"""The demonstrator solves the benchmark; the floor does not; between them lies a straight extrapolation."""
+"""The demonstrator solves the benchmark; the floor does not; between them lies a straight
+extrapolation.
+"""
 
 from dataclasses import replace
 
@@ -25,21 +27,29 @@ from tests.world.playing import wait, world
 
 
 def mean(episodes: list[Episode], metric: str) -> float:
-    values = [value for value in (measure(episode)[metric] for episode in episodes) if value is not None]
+    values = [
+        value for value in (measure(episode)[metric] for episode in episodes) if value is not None
+    ]
     return float(np.mean(values))
 
 
-def test_the_expert_catches_everything_at_the_first_attempt_straight_smooth_and_early(expert_episodes, specs):
+def test_the_expert_catches_everything_at_the_first_attempt_straight_smooth_and_early(
+    expert_episodes, specs
+):
     assert mean(expert_episodes, "S_loc") == mean(expert_episodes, "S_gra") == 1.0
     for episode, spec in zip(expert_episodes, specs, strict=True):
         assert (episode.success, episode.stage, episode.meta.attempts) == (True, "captured", 1)
-        assert episode.first_localized <= spec.intercept_frame + 1, "where a slower hand meets it, or before"
+        assert episode.first_localized <= spec.intercept_frame + 1, (
+            "where a slower hand meets it, or before"
+        )
     assert mean(expert_episodes, "Q_line") >= 0.98
     assert mean(expert_episodes, "Q_smooth") >= 0.98
     assert mean(expert_episodes, "R_time") >= 0.5
 
 
-def test_evaluated_episodes_are_consistent_records(expert_episodes: list[Episode], specs: list[EpisodeSpec]):
+def test_evaluated_episodes_are_consistent_records(
+    expert_episodes: list[Episode], specs: list[EpisodeSpec]
+):
     for episode, spec in zip(expert_episodes, specs, strict=True):
         frames = len(episode)
         assert spec.window_frames < frames <= spec.window_frames + spec.length_frames
@@ -52,11 +62,16 @@ def test_evaluated_episodes_are_consistent_records(expert_episodes: list[Episode
 
 
 def test_baselines_that_see_nothing_are_not_privileged():
-    assert {name for name in EXPERTS.names() if not EXPERTS[name].privileged} == {"hold", "blind_path"}
+    assert {name for name in EXPERTS.names() if not EXPERTS[name].privileged} == {
+        "hold",
+        "blind_path",
+    }
 
 
 @pytest.mark.parametrize("name", EXPERTS.names())
-def test_every_expert_is_deterministic_and_commands_every_joint(name: str, specs: list[EpisodeSpec]):
+def test_every_expert_is_deterministic_and_commands_every_joint(
+    name: str, specs: list[EpisodeSpec]
+):
     batch = WorldBatch(Recipe(image_size=32), 4, threads=1)
     batch.reset(range(3), specs[:3])
     for _ in range(specs[0].window_frames + 3):
@@ -70,13 +85,19 @@ def test_every_expert_is_deterministic_and_commands_every_joint(name: str, specs
 
 @pytest.mark.parametrize(
     ("name", "kind"),
-    [("constant_velocity", "constant"), ("constant_acceleration", "accelerating"), ("constant_acceleration", "lob")],
+    [
+        ("constant_velocity", "constant"),
+        ("constant_acceleration", "accelerating"),
+        ("constant_acceleration", "lob"),
+    ],
 )
 def test_who_extrapolates_rightly_goes_where_the_expert_goes(name: str, kind: str):
     batch = world(sample_specs(Recipe(split="test", motions=(kind,)), range(6)))
     wait(batch)
     seen = batch.world_state(batch.observe(images=False))
-    np.testing.assert_allclose(EXPERTS[name]().act(seen)[:, :3], Intercept().act(seen)[:, :3], atol=1e-3)
+    np.testing.assert_allclose(
+        EXPERTS[name]().act(seen)[:, :3], Intercept().act(seen)[:, :3], atol=1e-3
+    )
 
 
 def test_a_hand_at_a_tabulated_home_follows_the_path_from_there(specs: list[EpisodeSpec]):
@@ -97,7 +118,9 @@ def test_the_expert_catches_everything_in_every_control_class(control_class: str
         assert speed.max() < 1.02 * CONTROL_CLASSES[control_class].palm_speed_m_s
 
 
-def test_a_hand_that_follows_the_labels_loosely_is_closed_when_it_gets_there(specs: list[EpisodeSpec]):
+def test_a_hand_that_follows_the_labels_loosely_is_closed_when_it_gets_there(
+    specs: list[EpisodeSpec],
+):
     rng = np.random.default_rng(0)
 
     class Loose(Intercept):
@@ -109,7 +132,9 @@ def test_a_hand_that_follows_the_labels_loosely_is_closed_when_it_gets_there(spe
     assert mean(episodes, "S_joint") >= 0.9 * mean(episodes, "S_loc")
 
 
-def test_the_label_is_the_meeting_and_in_the_window_that_of_the_start_of_control(specs: list[EpisodeSpec]):
+def test_the_label_is_the_meeting_and_in_the_window_that_of_the_start_of_control(
+    specs: list[EpisodeSpec],
+):
     recipe = Recipe(image_size=0, split=specs[0].split, perturbed_share=0.0)
     for episode in record(recipe, [spec.seed for spec in specs[:22]]):
         assert not trajectory_problems(episode)
@@ -151,7 +176,9 @@ def test_a_palm_beyond_the_target_goes_around_it_to_close_from_behind():
     assert along[-1] < 0
 
 
-def test_three_attempts_are_perturbed_each_differently_and_a_further_one_is_not(specs: list[EpisodeSpec]):
+def test_three_attempts_are_perturbed_each_differently_and_a_further_one_is_not(
+    specs: list[EpisodeSpec],
+):
     *perturbed, last = (Perturbation.drawn(specs[0], attempt, share=1.0) for attempt in range(1, 5))
     assert all((drawn.pull_begin >= 0).any() and drawn.tremor_m.any() for drawn in perturbed)
     assert len({drawn.pull_m.tobytes() for drawn in perturbed}) == 3

@@ -1,4 +1,6 @@
-"""How the core hangs together: rooms import in one direction only, and none brings in torch or LeRobot."""
+"""How the core hangs together: rooms import in one direction only, and none brings in torch or
+LeRobot.
+"""
 
 import ast
 import re
@@ -12,19 +14,43 @@ from tests.tools import python
 
 PACKAGE = Path(dynahoi_lerobot.__file__).parent
 ROOMS = (
-    "core", "objects", "motions", "hands", "metrics", "scene", "renderers", "captures", "experts", "sampling",
-    "world", "rollout", "env", "dataset", "verify", "vlm", "evaluate", "generate", "pretrain", "hub", "report",
-    "play", "doctor", "cli",
-)  # fmt: skip
-"""Folders and modules of the package, in the order in which they may import each other: each only those before it."""
+    "core",
+    "objects",
+    "motions",
+    "hands",
+    "metrics",
+    "scene",
+    "renderers",
+    "captures",
+    "experts",
+    "sampling",
+    "world",
+    "rollout",
+    "env",
+    "dataset",
+    "verify",
+    "vlm",
+    "evaluate",
+    "generate",
+    "pretrain",
+    "hub",
+    "report",
+    "play",
+    "doctor",
+    "cli",
+)
+"""Folders and modules of the package, in the order in which they may import each other: each only
+those before it."""
 LEARNED = ("dynahoi_lerobot.pretrain.eye_training", "dynahoi_lerobot.world.detector")
-"""What runs ObAct's eye, and so imports torch and the policy's package; others import these in functions alone."""
+"""What runs ObAct's eye, and so imports torch and the policy's package; others import these in
+functions alone."""
 TAUGHT = {"lerobot_policy_obact/teacher.py": ["dynahoi_lerobot.experts"]}
 """What policies import of the core."""
 PROGRAM = """
 import importlib, pkgutil, sys
 package, learned, *heavy = sys.argv[1:]
-names = [m.name for m in pkgutil.walk_packages(importlib.import_module(package).__path__, package + ".")]
+path = importlib.import_module(package).__path__
+names = [m.name for m in pkgutil.walk_packages(path, package + ".")]
 for name in names:
     if not name.endswith("__main__") and name not in learned.split(","):
         importlib.import_module(name)
@@ -34,7 +60,15 @@ print(len(names))
 """
 HEAVY = {
     "dynahoi_lerobot": ("torch", "lerobot"),
-    "dynahoi_lerobot.dataset": ("mujoco", "mujoco_warp", "warp", "torch", "lerobot", "datasets", "pandas"),
+    "dynahoi_lerobot.dataset": (
+        "mujoco",
+        "mujoco_warp",
+        "warp",
+        "torch",
+        "lerobot",
+        "datasets",
+        "pandas",
+    ),
 }
 """What no module of a package may import."""
 
@@ -42,15 +76,21 @@ HEAVY = {
 def imports() -> Iterator[tuple[str, str]]:
     """Yield (importing, imported) module of every import within the core.
 
-    Imports inside functions count, and so do modules that are imported by name, as the commands are. Imports for type
-    checkers alone do not.
+    Imports inside functions count, and so do modules that are imported by name, as the commands
+    are. Imports for type checkers alone do not.
     """
     for path in sorted(PACKAGE.rglob("*.py")):
-        module = ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__")
+        module = ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(
+            ".__init__"
+        )
         for node in _run_time_nodes(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom) and node.module:
                 yield module, node.module
-                yield from ((module, name) for alias in node.names if _is_module(name := f"{node.module}.{alias.name}"))
+                yield from (
+                    (module, name)
+                    for alias in node.names
+                    if _is_module(name := f"{node.module}.{alias.name}")
+                )
             elif isinstance(node, ast.Import):
                 yield from ((module, alias.name) for alias in node.names)
             elif isinstance(node, ast.Constant) and _is_module(node.value):
@@ -102,7 +142,9 @@ def test_every_folder_is_a_room():
     assert folders | modules == set(ROOMS)
 
 
-@pytest.mark.parametrize(("package", "least"), [("dynahoi_lerobot", 100), ("dynahoi_lerobot.dataset", 8)])
+@pytest.mark.parametrize(
+    ("package", "least"), [("dynahoi_lerobot", 100), ("dynahoi_lerobot.dataset", 8)]
+)
 def test_no_module_imports_what_is_heavy(package: str, least: int):
     said = python("-c", PROGRAM, package, ",".join(LEARNED), *HEAVY[package])
     assert int(said.split()[-1]) > least, "the walk must have found the modules"
@@ -111,17 +153,31 @@ def test_no_module_imports_what_is_heavy(package: str, least: int):
 ALWAYS = ("torch", "lerobot", "mujoco_warp")
 DRAWING = ("pandas", "pyarrow", "matplotlib", "PIL", "jinja2")
 USES = [
-    ("import dynahoi_lerobot.evaluate.gif, dynahoi_lerobot.metrics, dynahoi_lerobot.report", DRAWING),
+    (
+        "import dynahoi_lerobot.evaluate.gif, dynahoi_lerobot.metrics, dynahoi_lerobot.report",
+        DRAWING,
+    ),
     ("main(['list', 'hands'])", ("warp", "pandas", "pyarrow")),
-    ("main(['evaluate', '--policy', 'hold', '--episodes', '1', '--out', sys.argv[1]])", ("warp", "pandas", "av")),
-    ("main(['generate', '--episodes', '1', '--image-size', '32', '--root', sys.argv[1]])", ("matplotlib",)),
-    ("register_envs(); gym.make('dynahoi/lob-v0', image_size=0).reset(seed=0)", ("warp", "pyarrow", "cv2")),
+    (
+        "main(['evaluate', '--policy', 'hold', '--episodes', '1', '--out', sys.argv[1]])",
+        ("warp", "pandas", "av"),
+    ),
+    (
+        "main(['generate', '--episodes', '1', '--image-size', '32', '--root', sys.argv[1]])",
+        ("matplotlib",),
+    ),
+    (
+        "register_envs(); gym.make('dynahoi/lob-v0', image_size=0).reset(seed=0)",
+        ("warp", "pyarrow", "cv2"),
+    ),
 ]
 """What a process may do, and which packages it has no use for, besides ``ALWAYS``."""
 
 
 @pytest.mark.parametrize(("use", "unused"), USES)
-def test_what_a_process_does_not_use_is_not_imported(use: str, unused: tuple[str, ...], tmp_path: Path) -> None:
+def test_what_a_process_does_not_use_is_not_imported(
+    use: str, unused: tuple[str, ...], tmp_path: Path
+) -> None:
     main = "from dynahoi_lerobot.cli.main import main"
     gym = "import gymnasium as gym; from dynahoi_lerobot.env import register_envs"
     start = main if use.startswith("main") else gym

@@ -21,7 +21,8 @@ NAMES = OBJECTS.names()
 IN_DISTRIBUTION = BENCHMARK.splits["train"].objects
 DRAWS, POINTS = 200, 20_000
 ADDITIVE = 1.22074408460575947536 ** -np.arange(1.0, 4.0)
-"""Powers of the root of x^4 = x + 1: multiples of them modulo 1 fill the unit cube evenly (the R3 sequence)."""
+"""Powers of the root of x^4 = x + 1: multiples of them modulo 1 fill the unit cube evenly (the R3
+sequence)."""
 
 
 def draws(name: str, count: int = DRAWS) -> list[TargetObject]:
@@ -30,7 +31,9 @@ def draws(name: str, count: int = DRAWS) -> list[TargetObject]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_is_a_function_of_the_seed_and_in_range_and_the_scene_has_a_slot_for_each_of_its_solids(name: str):
+def test_is_a_function_of_the_seed_and_in_range_and_the_scene_has_a_slot_for_each_of_its_solids(
+    name: str,
+):
     targets, scene = draws(name), compile_scene()
     assert targets[:3] == draws(name, 3)
     assert len(set(targets[:3])) == 3
@@ -44,13 +47,17 @@ def test_is_a_function_of_the_seed_and_in_range_and_the_scene_has_a_slot_for_eac
             assert all(0.0 < size < LARGEST_SLOT_M for size in primitive.size)
         geoms = scene.slots_of(target)
         assert len(set(geoms)) == len(target.primitives)
-        assert [scene.model.geom(geom).type for geom in geoms] == [SHAPES[p.shape] for p in target.primitives]
+        assert [scene.model.geom(geom).type for geom in geoms] == [
+            SHAPES[p.shape] for p in target.primitives
+        ]
 
 
 def test_too_many_primitives_are_refused_by_name():
     target = draws("egg", 1)[0]
     crowded = replace(target, primitives=target.primitives * 3)
-    with pytest.raises(ValueError, match=r"object 'egg' needs 3 ellipsoid, but .* 1 box, 8 capsule, .* 1 ellipsoid"):
+    with pytest.raises(
+        ValueError, match=r"object 'egg' needs 3 ellipsoid, but .* 1 box, 8 capsule, .* 1 ellipsoid"
+    ):
         compile_scene().slots_of(crowded)
 
 
@@ -67,7 +74,9 @@ def test_its_size_and_rest_height_are_those_of_its_solids_which_can_be_stored(na
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_origin_is_its_centre_of_mass(name: str):
-    """To 2 % of the extent, four standard errors of as many random points; solids that overlap count once."""
+    """To 2 % of the extent, four standard errors of as many random points; solids that overlap
+    count once.
+    """
     for target in draws(name, 3):
         points, (low, high) = _points_inside(target), _extent(target)
         extent = (high - low).max()
@@ -77,28 +86,38 @@ def test_the_origin_is_its_centre_of_mass(name: str):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_inertia_is_what_mujoco_computes_from_its_solids(name: str):
-    """Both count what solids share twice. MuJoCo's is about the centre of mass and is shifted here to the origin."""
+    """Both count what solids share twice. MuJoCo's is about the centre of mass and is shifted here
+    to the origin.
+    """
     for target in draws(name, 5):
         inertia = _mujoco_inertia(target)
         np.testing.assert_allclose(np.diag(inertia), target.inertia, rtol=1e-6)
         products = inertia - np.diag(np.diag(inertia))
-        assert np.abs(products).max() < 1e-6 * max(target.inertia), "the object's axes are its principal axes"
+        assert np.abs(products).max() < 1e-6 * max(target.inertia), (
+            "the object's axes are its principal axes"
+        )
 
 
-@pytest.mark.parametrize("hand", [name for name in HANDS.names() if not isinstance(HANDS[name], RobotHand)])
+@pytest.mark.parametrize(
+    "hand", [name for name in HANDS.names() if not isinstance(HANDS[name], RobotHand)]
+)
 def test_larger_objects_are_grasped_with_smaller_rotations(hand: str):
     radii = np.linspace(0.015, 0.045, 61)
     joints = np.abs([HANDS[hand].reference_joints(radius) for radius in radii])
     assert joints.shape == (61, 15)
     assert (np.diff(joints, axis=0) <= 1e-12).all()
-    in_use = sorted({target.grasp_radius_m for name in IN_DISTRIBUTION for target in draws(name, 20)})
+    in_use = sorted(
+        {target.grasp_radius_m for name in IN_DISTRIBUTION for target in draws(name, 20)}
+    )
     total = np.array([np.abs(HANDS[hand].reference_joints(radius)).sum() for radius in in_use])
     assert (np.diff(total) < 0).all()
     assert (joints > 0).all(), "every joint takes part in every grasp"
 
 
 def _top(primitive: Primitive, direction: np.ndarray) -> float:
-    """How far a solid extends along a unit vector (3,) from the object's origin [m], from its support function."""
+    """How far a solid extends along a unit vector (3,) from the object's origin [m], from its
+    support function.
+    """
     x, y, z = direction @ quat_to_matrix(np.asarray(primitive.quat))
     size = np.asarray(primitive.half_size)
     reach = {
@@ -113,7 +132,10 @@ def _top(primitive: Primitive, direction: np.ndarray) -> float:
 
 def _extent(target: TargetObject) -> np.ndarray:
     """(2, 3) lowest and highest coordinates of the object [m]."""
-    tops = [[max(_top(p, sign * axis) for p in target.primitives) for axis in np.eye(3)] for sign in (-1.0, 1.0)]
+    tops = [
+        [max(_top(p, sign * axis) for p in target.primitives) for axis in np.eye(3)]
+        for sign in (-1.0, 1.0)
+    ]
     return np.array([[-1.0], [1.0]]) * tops
 
 
@@ -123,7 +145,12 @@ def _mujoco_inertia(target: TargetObject) -> np.ndarray:
     spec.compiler.degree = False
     body = spec.worldbody.add_body()
     for primitive in target.primitives:
-        body.add_geom(type=SHAPES[primitive.shape], size=primitive.half_size, pos=primitive.pos, quat=primitive.quat)
+        body.add_geom(
+            type=SHAPES[primitive.shape],
+            size=primitive.half_size,
+            pos=primitive.pos,
+            quat=primitive.quat,
+        )
     model = spec.compile()
     axes, offset = quat_to_matrix(model.body_iquat[1]), model.body_ipos[1]
     own = axes @ np.diag(model.body_inertia[1]) @ axes.T
@@ -132,7 +159,9 @@ def _mujoco_inertia(target: TargetObject) -> np.ndarray:
 
 
 def _points_inside(target: TargetObject) -> np.ndarray:
-    """Points (K, 3) [m] of a sequence of low discrepancy in the box around the object that lie in any of its solids."""
+    """Points (K, 3) [m] of a sequence of low discrepancy in the box around the object that lie in
+    any of its solids.
+    """
     low, high = _extent(target)
     points = low + (high - low) * ((np.arange(POINTS)[:, None] * ADDITIVE + 0.5) % 1.0)
     inside = np.zeros(len(points), bool)
@@ -166,7 +195,9 @@ def test_an_ellipsoid_is_exact_near_its_surface_and_close_elsewhere():
     error = np.abs(_ours("ellipsoid", points) - expected)
     assert error[np.abs(expected) < NEAR_M].max() < 1e-4
     assert (error / np.abs(expected))[expected > NEAR_M].max() < 0.1
-    assert _ours("ellipsoid", np.zeros((1, 3)))[0] == pytest.approx(-0.02), "the centre is one half axis deep"
+    assert _ours("ellipsoid", np.zeros((1, 3)))[0] == pytest.approx(-0.02), (
+        "the centre is one half axis deep"
+    )
 
 
 def _ours(shape: str, points: np.ndarray) -> np.ndarray:
@@ -177,7 +208,9 @@ def _measured_by_mujoco(shape: str) -> tuple[np.ndarray, np.ndarray]:
     """(K, 3) points around the shape and their (K,) distances."""
     spec = mujoco.MjSpec()
     spec.worldbody.add_geom(type=SHAPES[shape], size=SIZES[shape])
-    spec.worldbody.add_body(mocap=True).add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(POINT_M, 0, 0))
+    spec.worldbody.add_body(mocap=True).add_geom(
+        type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(POINT_M, 0, 0)
+    )
     model = spec.compile()
     data = mujoco.MjData(model)
     points = np.random.default_rng(0).uniform(-0.06, 0.06, (400, 3))

@@ -1,4 +1,6 @@
-"""Robot hands from MuJoCo Menagerie stand where the bundled ones stand, and catch what they catch."""
+"""Robot hands from MuJoCo Menagerie stand where the bundled ones stand, and catch what they
+catch.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -41,9 +43,13 @@ def settled(robot: str, commands: dict[str, float]) -> dict[str, float]:
 
 
 def own_limits_nm(model: mujoco.MjModel) -> np.ndarray:
-    """(nv,) the least of what the model allows each degree of freedom and what pulls it; infinite without a limit."""
+    """(nv,) the least of what the model allows each degree of freedom and what pulls it; infinite
+    without a limit.
+    """
     data, limits = mujoco.MjData(model), np.full(model.nv, np.inf)
-    limits[model.jnt_dofadr] = np.where(model.jnt_actfrcrange[:, 1] > 0, model.jnt_actfrcrange[:, 1], np.inf)
+    limits[model.jnt_dofadr] = np.where(
+        model.jnt_actfrcrange[:, 1] > 0, model.jnt_actfrcrange[:, 1], np.inf
+    )
     for i, (_, most) in enumerate(model.actuator_forcerange):
         data.ctrl[:] = np.arange(model.nu) == i
         mujoco.mj_forward(model, data)
@@ -80,7 +86,10 @@ def test_open_it_is_the_models_own_pose(robot: str) -> None:
     for finger in FINGERS:
         last = source.jnt_bodyid[source.joint(hand.fingers[finger].joints[-1]).id]
         in_palm = palm.xmat.reshape(3, 3).T @ (theirs.xpos[last] - palm.xpos)
-        found = ours.xpos[model.jnt_bodyid[model.joint(f"{finger}_tip").id]] - ours.site("palm_center").xpos
+        found = (
+            ours.xpos[model.jnt_bodyid[model.joint(f"{finger}_tip").id]]
+            - ours.site("palm_center").xpos
+        )
         np.testing.assert_allclose(found, mount @ in_palm + hand.palm_pos_m, atol=1e-6)
 
 
@@ -94,12 +103,20 @@ def test_joints_go_where_they_are_told(robot: str) -> None:
 def test_joints_that_share_a_motor_follow_the_mean() -> None:
     angles = settled("shadow", {"index_middle": 0.8, "index_tip": 0.2})
     assert angles["index_middle"] + angles["index_tip"] == pytest.approx(1.0, abs=0.02)
-    assert angles["index_middle"] == pytest.approx(angles["index_tip"], abs=0.1), "nothing touches the finger"
+    assert angles["index_middle"] == pytest.approx(angles["index_tip"], abs=0.1), (
+        "nothing touches the finger"
+    )
     assert angles["middle_middle"] == pytest.approx(0.0, abs=0.01)
 
 
-CAUGHT = {("shadow", "attach"): 11, ("sharpa", "attach"): 11, ("shadow", "contact"): 19, ("sharpa", "contact"): 11}
-"""At least, of 11 with attach and of 22 with contact. No search has chosen how the Sharpa Wave's thumb opposes."""
+CAUGHT = {
+    ("shadow", "attach"): 11,
+    ("sharpa", "attach"): 11,
+    ("shadow", "contact"): 19,
+    ("sharpa", "contact"): 11,
+}
+"""At least, of 11 with attach and of 22 with contact. No search has chosen how the Sharpa Wave's
+thumb opposes."""
 
 
 @pytest.mark.parametrize(("robot", "capture"), CAUGHT)
@@ -112,7 +129,9 @@ def test_the_expert_catches_with_it(robot: str, capture: str) -> None:
 
 @every_robot
 def test_policies_see_the_same_columns_and_the_camera_sees_past_it(robot: str) -> None:
-    bundled, batch = (WorldBatch(Recipe(hand=hand, image_size=64), 11) for hand in ("capsule", robot))
+    bundled, batch = (
+        WorldBatch(Recipe(hand=hand, image_size=64), 11) for hand in ("capsule", robot)
+    )
     seen = []
     for one in (bundled, batch):
         one.reset(range(11), sample_specs(one.recipe, range(11)))
@@ -140,12 +159,18 @@ def test_without_network_or_copy_one_sentence_says_what_to_do(tmp_path, monkeypa
 
 
 def with_finger(name: str, **changes: object) -> Callable[[RobotHand], RobotHand]:
-    return lambda hand: replace(hand, fingers={**hand.fingers, name: replace(hand.fingers[name], **changes)})
+    return lambda hand: replace(
+        hand, fingers={**hand.fingers, name: replace(hand.fingers[name], **changes)}
+    )
 
 
 MISFITS: dict[str, Callable[[RobotHand], RobotHand]] = {
-    "no little": lambda hand: replace(hand, fingers={name: hand.fingers[name] for name in FINGERS[:-1]}),
-    "joints that no other finger has": with_finger("little", joints=("lh_RFJ3", "lh_RFJ2", "lh_RFJ1")),
+    "no little": lambda hand: replace(
+        hand, fingers={name: hand.fingers[name] for name in FINGERS[:-1]}
+    ),
+    "joints that no other finger has": with_finger(
+        "little", joints=("lh_RFJ3", "lh_RFJ2", "lh_RFJ1")
+    ),
     "has the joints lh_LFJ3, lh_LFJ2, but": with_finger("little", joints=("lh_LFJ3", "lh_LFJ2")),
     "body of shadow_hand 'palm'": lambda hand: replace(hand, palm="palm"),
     "site of shadow_hand 'lh_pad'": with_finger("thumb", tip="lh_pad"),

@@ -1,4 +1,6 @@
-"""What tests of several parts need: Python in a process of its own, servers, plugins, small datasets, changed files."""
+"""What tests of several parts need: Python in a process of its own, servers, plugins, small
+datasets, changed files.
+"""
 
 import json
 import os
@@ -15,9 +17,13 @@ from dynahoi_lerobot.cli.main import main
 
 
 def python(*words: object, cwd: Path | None = None, **environment: str) -> str:
-    """Run Python in a process of its own, with further environment variables; return what it prints."""
+    """Run Python in a process of its own, with further environment variables; return what it
+    prints.
+    """
     command = [sys.executable, *map(str, words)]
-    done = subprocess.run(command, cwd=cwd, env=os.environ | environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, cwd=cwd, env=os.environ | environment, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
@@ -26,7 +32,9 @@ def python(*words: object, cwd: Path | None = None, **environment: str) -> str:
 def served(handler: type[BaseHTTPRequestHandler]) -> Iterator[str]:
     """Serve on a local port until the block ends; yield the address."""
     server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
-    threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
+    threading.Thread(
+        target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True
+    ).start()
     try:
         yield f"http://127.0.0.1:{server.server_port}"
     finally:

@@ -1,4 +1,5 @@
-"""Train a policy for two steps on a stranger's dataset and act on one of its frames: TYPE [--policy.OPTION=VALUE ...]
+"""Train a policy for two steps on a stranger's dataset and act on one of its frames: TYPE
+[--policy.OPTION=VALUE ...]
 
 The dataset resembles PushT: one camera, two coordinates, no hand and no target.
 """
@@ -20,12 +21,16 @@ FRAMES, SIDE_PX = 24, 48
 CHECKPOINT = Path("run/checkpoints/last/pretrained_model")
 
 kind, options = sys.argv[1], sys.argv[2:]
-assert importlib.util.find_spec("dynahoi_lerobot") is None, "the policy must not bring the simulator"
+assert importlib.util.find_spec("dynahoi_lerobot") is None, (
+    "the policy must not bring the simulator"
+)
 
 image = {"dtype": "image", "shape": (SIDE_PX, SIDE_PX, 3), "names": ["height", "width", "channel"]}
 vector = {"dtype": "float32", "shape": (2,), "names": None}
 features = {"observation.images.top": image, "observation.state": vector, "action": vector}
-dataset = LeRobotDataset.create("a/stranger", fps=10, features=features, root="data", use_videos=False)
+dataset = LeRobotDataset.create(
+    "a/stranger", fps=10, features=features, root="data", use_videos=False
+)
 rng = np.random.default_rng(0)
 for _ in range(2):
     walk = rng.normal(size=(FRAMES + 1, 2)).cumsum(axis=0).astype(np.float32)
@@ -36,9 +41,24 @@ for _ in range(2):
     dataset.save_episode()
 dataset.finalize()
 
-settings = {"policy.type": kind, "policy.device": "cpu", "policy.push_to_hub": False, "dataset.repo_id": "a/stranger"}
-settings |= {"dataset.root": "data", "output_dir": "run", "steps": 2, "batch_size": 2, "save_freq": 2, "num_workers": 0}
-words = [f"--{name}={value if isinstance(value, str) else json.dumps(value)}" for name, value in settings.items()]
+settings = {
+    "policy.type": kind,
+    "policy.device": "cpu",
+    "policy.push_to_hub": False,
+    "dataset.repo_id": "a/stranger",
+}
+settings |= {
+    "dataset.root": "data",
+    "output_dir": "run",
+    "steps": 2,
+    "batch_size": 2,
+    "save_freq": 2,
+    "num_workers": 0,
+}
+words = [
+    f"--{name}={value if isinstance(value, str) else json.dumps(value)}"
+    for name, value in settings.items()
+]
 subprocess.run(["lerobot-train", *words, *options], check=True)
 
 register_third_party_plugins()

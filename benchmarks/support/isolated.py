@@ -1,4 +1,6 @@
-"""Measure in a process of its own: nothing warmed up by, and no memory left from, what was measured before."""
+"""Measure in a process of its own: nothing warmed up by, and no memory left from, what was measured
+before.
+"""
 
 import multiprocessing
 import os
@@ -7,7 +9,9 @@ from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
-os.environ.setdefault("MUJOCO_GL", "egl")  # the fastest that needs no display; MuJoCo reads it when first imported
+os.environ.setdefault(
+    "MUJOCO_GL", "egl"
+)  # the fastest that needs no display; MuJoCo reads it when first imported
 
 
 def measure_apart(task: Callable[..., dict[str, float]], *args: Any) -> dict[str, float]:
@@ -18,5 +22,8 @@ def measure_apart(task: Callable[..., dict[str, float]], *args: Any) -> dict[str
 
 def _measure(task: Callable[..., dict[str, float]], args: tuple[Any, ...]) -> dict[str, float]:
     result = task(*args)
-    used = (resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    used = (
+        resource.getrusage(who).ru_maxrss
+        for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    )
     return result | {"peak_mb": max(used) / 1024}

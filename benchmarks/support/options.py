@@ -22,7 +22,9 @@ PINNED = REPOSITORY / "tests" / "sampling" / "benchmark_digests.json"
 
 
 class _SetAll(argparse.Action):
-    """An option without a value that sets several others; what follows it on the command line wins."""
+    """An option without a value that sets several others; what follows it on the command line
+    wins.
+    """
 
     def __call__(
         self,
@@ -37,7 +39,9 @@ class _SetAll(argparse.Action):
 
 
 def _output(text: str) -> Path:
-    """Return the path of a file to write; refuse, before any work, one that could not be written after it."""
+    """Return the path of a file to write; refuse, before any work, one that could not be written
+    after it.
+    """
     place = path(text)
     try:
         check_output(place)
@@ -55,38 +59,70 @@ def benchmark_parser(description: str | None, **tiny: Any) -> argparse.ArgumentP
         description: docstring of the benchmark.
         **tiny: what ``--tiny`` sets the benchmark's own options to, so that it ends within seconds.
     """
-    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--json", type=_output, help="also write the numbers to this file")
     parser.add_argument(
-        "--tiny", action=_SetAll, nargs=0, const=tiny, default=False, help="only see that it runs; numbers mean nothing"
+        "--tiny",
+        action=_SetAll,
+        nargs=0,
+        const=tiny,
+        default=False,
+        help="only see that it runs; numbers mean nothing",
     )
     return parser
 
 
 def write_numbers(args: argparse.Namespace, **numbers: Any) -> None:
-    """Write ``numbers`` to ``args.json``, if that is given, beside the settings, the machine and what was run."""
+    """Write ``numbers`` to ``args.json``, if that is given, beside the settings, the machine and
+    what was run.
+    """
     if args.json is None:
         return
     settings = {name: value for name, value in vars(args).items() if name not in ("json", "tiny")}
     machine = {"cores": os.cpu_count(), "python": platform.python_version()}
     args.json.parent.mkdir(parents=True, exist_ok=True)
     args.json.write_text(
-        json.dumps({"settings": settings, "machine": machine, **provenance(), **numbers}, indent=1, default=str) + "\n"
+        json.dumps(
+            {"settings": settings, "machine": machine, **provenance(), **numbers},
+            indent=1,
+            default=str,
+        )
+        + "\n"
     )
 
 
 def provenance() -> dict[str, str]:
-    """Return the command, the commit, ``-dirty`` if files differ from it, and the name of the processor."""
-    git = ["git", "-C", str(REPOSITORY), "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
+    """Return the command, the commit, ``-dirty`` if files differ from it, and the name of the
+    processor.
+    """
+    git = [
+        "git",
+        "-C",
+        str(REPOSITORY),
+        "describe",
+        "--always",
+        "--dirty",
+        "--abbrev=12",
+        "--exclude=*",
+    ]
     commit = subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip()
     names = re.findall(r"^model name\s*: (.*)$", _text(Path("/proc/cpuinfo")), re.MULTILINE)
     command = shlex.join(["python", f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]])
-    return {"command": command, "commit": commit or "unknown", "processor": (names or [platform.machine()])[0]}
+    return {
+        "command": command,
+        "commit": commit or "unknown",
+        "processor": (names or [platform.machine()])[0],
+    }
 
 
 def pinned_benchmark() -> dict[str, str]:
     """Return the version of the benchmark and a digest of all that is pinned of it."""
-    return {"version": BENCHMARK.version, "digest": hashlib.sha256(PINNED.read_bytes()).hexdigest()[:16]}
+    return {
+        "version": BENCHMARK.version,
+        "digest": hashlib.sha256(PINNED.read_bytes()).hexdigest()[:16],
+    }
 
 
 def _text(path: Path) -> str:

@@ -1,7 +1,8 @@
-"""A regressor on everything that a policy sees but pictures: does a number or a word give the meeting point away?
+"""A regressor on everything that a policy sees but pictures: does a number or a word give the
+meeting point away?
 
-It is given what policies observe, in the home frame, and, to show what that frame hides, the home's position in the
-world as well.
+It is given what policies observe, in the home frame, and, to show what that frame hides, the home's
+position in the world as well.
 """
 
 from collections.abc import Sequence
@@ -33,15 +34,22 @@ Rate = dict[str, float | list[float]]
 
 
 def sightless(train: Sequence[EpisodeSpec], split: Sequence[EpisodeSpec]) -> dict[str, Rate]:
-    """Print and return what is met in ``split`` by regressors and fixed paths that have seen ``train``.
+    """Print and return what is met in ``split`` by regressors and fixed paths that have seen
+    ``train``.
 
-    R2 is the share of the variance of the meeting point (x, y, z) and time that a regressor explains, S_loc that of a
-    hand that goes there straight at the standard limit, and waits. Paths by motion are the best fixed paths of each
-    kind, for the episodes whose instruction names the kind. Only the first observations are simulated.
+    R2 is the share of the variance of the meeting point (x, y, z) and time that a regressor
+    explains, S_loc that of a hand that goes there straight at the standard limit, and waits. Paths
+    by motion are the best fixed paths of each kind, for the episodes whose instruction names the
+    kind. Only the first observations are simulated.
     """
-    table = {f"regressor, {name}": regression(*inputs, train, split) for name, inputs in variants(train, split).items()}
+    table = {
+        f"regressor, {name}": regression(*inputs, train, split)
+        for name, inputs in variants(train, split).items()
+    }
     for control in ("standard", "unlimited"):
-        table[f"blind_path, {control}"] = rate(hits_along(fixed_path(control), relative_paths(split, FRAMES)).tolist())
+        table[f"blind_path, {control}"] = rate(
+            hits_along(fixed_path(control), relative_paths(split, FRAMES)).tolist()
+        )
     table["paths by motion"] = rate(paths_by_motion(train, split).tolist())
     for name, row in table.items():
         told = f"  R2 {np.round(row['R2'], 2)}" if "R2" in row else ""
@@ -52,14 +60,22 @@ def sightless(train: Sequence[EpisodeSpec], split: Sequence[EpisodeSpec]) -> dic
 def rate(outcomes: Sequence[bool]) -> Rate:
     """Return a share and its interval [%]."""
     low, high = wilson(sum(outcomes), len(outcomes))
-    return {"value": 100 * sum(outcomes) / len(outcomes), "low": 100 * low, "high": 100 * high, "n": len(outcomes)}
+    return {
+        "value": 100 * sum(outcomes) / len(outcomes),
+        "low": 100 * low,
+        "high": 100 * high,
+        "n": len(outcomes),
+    }
 
 
-def variants(train: Sequence[EpisodeSpec], split: Sequence[EpisodeSpec]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def variants(
+    train: Sequence[EpisodeSpec], split: Sequence[EpisodeSpec]
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Return the inputs of each regressor, (N, D) of training and of the split."""
     vocabulary = vocabulary_of(train)
     numbers, words, homes = (
-        (part(train), part(split)) for part in (numbers_seen, lambda s: words_seen(s, vocabulary), homes_of)
+        (part(train), part(split))
+        for part in (numbers_seen, lambda s: words_seen(s, vocabulary), homes_of)
     )
     chosen = {
         "numbers": (numbers,),
@@ -68,25 +84,39 @@ def variants(train: Sequence[EpisodeSpec], split: Sequence[EpisodeSpec]) -> dict
         "numbers, words and home": (numbers, words, homes),
     }
     return {
-        name: (np.hstack([p[0] for p in parts]), np.hstack([p[1] for p in parts])) for name, parts in chosen.items()
+        name: (np.hstack([p[0] for p in parts]), np.hstack([p[1] for p in parts]))
+        for name, parts in chosen.items()
     }
 
 
-def regression(seen: np.ndarray, asked: np.ndarray, train: Sequence[EpisodeSpec], split: Sequence[EpisodeSpec]) -> Rate:
-    """Train on (N, D) inputs ``seen``; return what is explained and met of those of the split, (M, D) ``asked``."""
+def regression(
+    seen: np.ndarray, asked: np.ndarray, train: Sequence[EpisodeSpec], split: Sequence[EpisodeSpec]
+) -> Rate:
+    """Train on (N, D) inputs ``seen``; return what is explained and met of those of the split, (M,
+    D) ``asked``.
+    """
     predicted, true = predict(fit(seen, meetings(train)), asked), meetings(split)
-    explained = 1 - ((predicted - true) ** 2).sum(axis=0) / ((true - true.mean(axis=0)) ** 2).sum(axis=0)
-    return {**rate(hits_at(predicted, relative_paths(split, FRAMES), SPEED_M_S).tolist()), "R2": explained.tolist()}
+    explained = 1 - ((predicted - true) ** 2).sum(axis=0) / ((true - true.mean(axis=0)) ** 2).sum(
+        axis=0
+    )
+    return {
+        **rate(hits_at(predicted, relative_paths(split, FRAMES), SPEED_M_S).tolist()),
+        "R2": explained.tolist(),
+    }
 
 
 def paths_by_motion(train: Sequence[EpisodeSpec], split: Sequence[EpisodeSpec]) -> np.ndarray:
-    """Return (M,) bool: what the best path of its kind meets, or the fixed path where no instruction names the kind."""
+    """Return (M,) bool: what the best path of its kind meets, or the fixed path where no
+    instruction names the kind.
+    """
     targets, searched = relative_paths(split, FRAMES), relative_paths(train, FRAMES)
     met = hits_along(fixed_path("standard"), targets)
     kinds = np.array([spec.motion.name for spec in train])
     for kind in sorted(set(kinds)):
         path = search_path(searched[kinds == kind], SPEED_M_S, WIDTH, FINENESS)
-        told = np.array([spec.motion.name == kind and spec.motion.phrase in spec.task for spec in split])
+        told = np.array(
+            [spec.motion.name == kind and spec.motion.phrase in spec.task for spec in split]
+        )
         met[told] = hits_along(path, targets[told])
     return met
 
@@ -97,7 +127,9 @@ def numbers_seen(specs: Sequence[EpisodeSpec]) -> np.ndarray:
     for start in range(0, len(specs), WORLDS):
         chunk = specs[start : start + WORLDS]
         observation = _first_observation(chunk)
-        windows = np.array([[spec.window_frames / MIN_WINDOW_FRAMES] for spec in chunk])  # counted by ``phase``
+        windows = np.array(
+            [[spec.window_frames / MIN_WINDOW_FRAMES] for spec in chunk]
+        )  # counted by ``phase``
         rows.append(np.hstack([observation.state, windows]))
     return np.concatenate(rows)
 
@@ -126,8 +158,12 @@ def fit(features: np.ndarray, wanted: np.ndarray) -> nn.Module:
     spread = x.std(0)
     network = nn.Sequential(
         _Standardise(x.mean(0), torch.where(spread > LEAST_SPREAD, spread, torch.inf)),
-        nn.Linear(x.shape[1], HIDDEN), nn.SiLU(), nn.Linear(HIDDEN, HIDDEN), nn.SiLU(), nn.Linear(HIDDEN, 4),
-    )  # fmt: skip
+        nn.Linear(x.shape[1], HIDDEN),
+        nn.SiLU(),
+        nn.Linear(HIDDEN, HIDDEN),
+        nn.SiLU(),
+        nn.Linear(HIDDEN, 4),
+    )
     optimizer = torch.optim.AdamW(network.parameters(), LEARNING_RATE, weight_decay=WEIGHT_DECAY)
     y = torch.as_tensor(wanted / _SCALE, dtype=torch.float32)
     for _ in range(STEPS):
@@ -144,7 +180,8 @@ def predict(network: nn.Module, features: np.ndarray) -> np.ndarray:
 
 
 def hits_at(predicted: np.ndarray, targets: np.ndarray, speed_m_s: float) -> np.ndarray:
-    """Return (N,) bool: the targets (N, F + 1, 3) met by palms that go straight to ``predicted`` (N, 4).
+    """Return (N,) bool: the targets (N, F + 1, 3) met by palms that go straight to ``predicted``
+    (N, 4).
 
     They arrive in time, or as soon as they can, and wait there.
     """
@@ -153,7 +190,9 @@ def hits_at(predicted: np.ndarray, targets: np.ndarray, speed_m_s: float) -> np.
     arrival_s = np.maximum(np.maximum(predicted[:, 3], distance / speed_m_s), CONTROL_DT)
     share = np.minimum(frames * CONTROL_DT / arrival_s[:, None], 1.0)  # (N, F)
     paths = share[..., None] * predicted[:, None, :3]
-    return np.array([hits_along(path, target[None])[0] for path, target in zip(paths, targets, strict=True)])
+    return np.array(
+        [hits_along(path, target[None])[0] for path, target in zip(paths, targets, strict=True)]
+    )
 
 
 class _Standardise(nn.Module):

@@ -1,4 +1,6 @@
-"""The stages of generation by themselves: what each could do alone, and its share of a process that does all."""
+"""The stages of generation by themselves: what each could do alone, and its share of a process that
+does all.
+"""
 
 import functools
 import os
@@ -32,7 +34,8 @@ STAGE_FUNCTIONS = {
     "render": [(Cameras, "render")],
     "encode": [(writer, "encode")],
 }
-"""What counts for a stage; none of these calls another. A profiler would mix up threads that call back into Python."""
+"""What counts for a stage; none of these calls another. A profiler would mix up threads that call
+back into Python."""
 
 
 def stages_alone(image_size: int) -> dict[str, float]:
@@ -64,7 +67,9 @@ def _encode_rate(images: np.ndarray, process: int) -> float:
 
 
 def stage_shares(image_size: int, episodes: int) -> dict[str, float]:
-    """Return each stage's share, and that of all the rest, of one process on one thread that writes a dataset."""
+    """Return each stage's share, and that of all the rest, of one process on one thread that writes
+    a dataset.
+    """
     seconds = dict.fromkeys(STAGE_FUNCTIONS, 0.0)
     with tempfile.TemporaryDirectory() as folder, ExitStack() as patches:
         _write(Path(folder) / "warm", image_size, range(WARM_UP_EPISODES))

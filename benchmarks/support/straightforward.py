@@ -1,9 +1,10 @@
-"""What a LeRobot user would write without this project: one world, a loop over ``mj_step`` and ``mujoco.Renderer``.
+"""What a LeRobot user would write without this project: one world, a loop over ``mj_step`` and
+``mujoco.Renderer``.
 
-It plays the same episodes in the same scene with the same expert, and nothing in it is slow on purpose: shadows and
-multisampling, which cost MuJoCo's renderer much, are off unless asked for, the frame buffer has the size of the image,
-the model is compiled once and every episode is written into it, and the recorder leaves out the columns that take
-extra work (contacts, captures).
+It plays the same episodes in the same scene with the same expert, and nothing in it is slow on
+purpose: shadows and multisampling, which cost MuJoCo's renderer much, are off unless asked for, the
+frame buffer has the size of the image, the model is compiled once and every episode is written into
+it, and the recorder leaves out the columns that take extra work (contacts, captures).
 """
 
 from pathlib import Path
@@ -14,7 +15,13 @@ import mujoco
 import numpy as np
 from gymnasium import spaces
 
-from dynahoi_lerobot.core.conventions import CONTROL_HZ, FINGER_DOF, LOCALIZATION_RADIUS_M, PALM_DOF, SUBSTEPS
+from dynahoi_lerobot.core.conventions import (
+    CONTROL_HZ,
+    FINGER_DOF,
+    LOCALIZATION_RADIUS_M,
+    PALM_DOF,
+    SUBSTEPS,
+)
 from dynahoi_lerobot.core.episode import in_reference_grasp
 from dynahoi_lerobot.core.features import CAMERA_KEY, FEATURES, frame_features, image_feature
 from dynahoi_lerobot.core.rules import one_hot_phase
@@ -33,12 +40,20 @@ RECORDED = ("state", "phase", "action")
 
 
 class StraightforwardEnv(gym.Env):
-    """One hand and one object in plain MuJoCo; observations, actions and endings are those of ``DynahoiEnv``."""
+    """One hand and one object in plain MuJoCo; observations, actions and endings are those of
+    ``DynahoiEnv``.
+    """
 
-    def __init__(self, image_size: int = 128, split: str = "test", *, shadows: bool = False) -> None:
-        """Compile the model; with ``shadows`` it is drawn as MuJoCo draws by default, multisampled and with shadows."""
+    def __init__(
+        self, image_size: int = 128, split: str = "test", *, shadows: bool = False
+    ) -> None:
+        """Compile the model; with ``shadows`` it is drawn as MuJoCo draws by default, multisampled
+        and with shadows.
+        """
         self.recipe, self._shadows = Recipe(split=split, image_size=image_size), shadows
-        self._writer = WorldBatch(Recipe(), 1, threads=1)  # writes an episode's numbers into a model
+        self._writer = WorldBatch(
+            Recipe(), 1, threads=1
+        )  # writes an episode's numbers into a model
         self._scene, self._commands = self._writer.scene, self._writer.commands
         self._limits_w = np.stack([self._commands.low, self._commands.high])
         self.model = self._writer._batch.get_model(0)
@@ -47,7 +62,9 @@ class StraightforwardEnv(gym.Env):
         self.observation_space = observation_space(frame_features(image_size))
         self.action_space = spaces.Box(*self._commands.limits(), dtype=np.float32)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict, dict]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict, dict]:
         super().reset(seed=seed)
         number = int(self.np_random.integers(0, 2**31)) if seed is None else seed
         self.begin(sample_spec(self.recipe, number))
@@ -61,7 +78,9 @@ class StraightforwardEnv(gym.Env):
         self._writer._batch.get_data(0, self.data)
         mujoco.mj_forward(self.model, self.data)
         self._force = drive_for(spec.motion, spec.target, spec.horizon_frames)[2]
-        self.origin = np.concatenate([spec.home_pos_w, np.zeros(FINGER_DOF)])  # of the home frame, world
+        self.origin = np.concatenate(
+            [spec.home_pos_w, np.zeros(FINGER_DOF)]
+        )  # of the home frame, world
         self.executed = np.concatenate([np.zeros(PALM_DOF), spec.open_joints])
         return self._observe()
 
@@ -70,20 +89,26 @@ class StraightforwardEnv(gym.Env):
         previous = self.executed
         if acting:
             self.executed = self._commands.within_reach(
-                np.asarray(action, float)[None], previous[None], *(self._limits_w - self.origin)[:, None]
+                np.asarray(action, float)[None],
+                previous[None],
+                *(self._limits_w - self.origin)[:, None],
             )[0]
         set_points = self._commands.set_points(self.executed[None], previous[None])[0] + self.origin
         dof = self._scene.target_dof
         for substep in range(SUBSTEPS):
             self.data.ctrl[:] = set_points[substep]
             free = self.localized_frame is not None or self.frame >= len(self._force)
-            self.data.qfrc_applied[dof : dof + 3] = 0.0 if free else self._force[self.frame][substep]
+            self.data.qfrc_applied[dof : dof + 3] = (
+                0.0 if free else self._force[self.frame][substep]
+            )
             mujoco.mj_step(self.model, self.data)
             if acting and self.localized_frame is None and self._distance() < LOCALIZATION_RADIUS_M:
                 self._attach()
         self.frame += 1
         mujoco.mj_forward(self.model, self.data)
-        settled = self.localized_frame is not None and self.frame - self.localized_frame > SETTLE_FRAMES
+        settled = (
+            self.localized_frame is not None and self.frame - self.localized_frame > SETTLE_FRAMES
+        )
         late = self.frame > self.episode.window_frames + self.episode.length_frames
         reward = float(self.success and (settled or late))
         return self._observe(), reward, settled, late and not settled, {"is_success": self.success}
@@ -137,7 +162,9 @@ class StraightforwardEnv(gym.Env):
         scene, data, model = self._scene, self.data, self.model
         self.localized_frame = self.frame
         palm, joints = np.split(data.qpos[scene.hand_qpos] - self.origin, [PALM_DOF])
-        self.success = bool(in_reference_grasp(joints, self.episode.open_joints, self.episode.reference_joints))
+        self.success = bool(
+            in_reference_grasp(joints, self.episode.open_joints, self.episode.reference_joints)
+        )
         model.geom_contype[scene.target_geoms] = 0
         position, quat = self.target_state()[0][:3], self.target_state()[0][3:]
         inverse, offset = np.zeros(4), np.zeros(3)
@@ -150,7 +177,9 @@ class StraightforwardEnv(gym.Env):
 
 
 def record(root: Path, recipe: Recipe, seeds: list[int], *, shadows: bool = False) -> int:
-    """Record the expert's successes with LeRobot's streaming writer, coded as this project codes; return the frames."""
+    """Record the expert's successes with LeRobot's streaming writer, coded as this project codes;
+    return the frames.
+    """
     from lerobot.configs.video import RGBEncoderConfig
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
@@ -164,7 +193,8 @@ def record(root: Path, recipe: Recipe, seeds: list[int], *, shadows: bool = Fals
             encoding.codec, crf=encoding.crf, preset=encoding.preset, g=encoding.gop, fast_decode=1
         ),
         streaming_encoding=True,
-        encoder_queue_maxsize=1000,  # frames come faster than real time; a full queue would drop some
+        # frames come faster than real time; a full queue would drop some
+        encoder_queue_maxsize=1000,
         encoder_threads=1,  # one process per core already
     )
     for seed in seeds:
@@ -190,7 +220,10 @@ def _play(env: StraightforwardEnv, dataset: Any, spec: EpisodeSpec) -> bool:
 
 def _frame(seen: dict, executed: np.ndarray, task: str) -> dict[str, Any]:
     values = (seen["agent_pos"], seen["phase"], executed)
-    frame = {FEATURES[name].key: value.astype(np.float32) for name, value in zip(RECORDED, values, strict=True)}
+    frame = {
+        FEATURES[name].key: value.astype(np.float32)
+        for name, value in zip(RECORDED, values, strict=True)
+    }
     return frame | {CAMERA_KEY: seen["pixels"]["ego"], "task": task}
 
 
@@ -198,4 +231,6 @@ def _features(image_size: int) -> dict[str, dict[str, Any]]:
     stored = [FEATURES[name] for name in RECORDED]
     features = {f.key: {"dtype": f.dtype, "shape": f.shape, "names": list(f.names)} for f in stored}
     camera = image_feature("ego", image_size)
-    return features | {CAMERA_KEY: {"dtype": "video", "shape": camera.shape, "names": list(camera.names)}}
+    return features | {
+        CAMERA_KEY: {"dtype": "video", "shape": camera.shape, "names": list(camera.names)}
+    }

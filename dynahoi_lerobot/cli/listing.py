@@ -22,7 +22,9 @@ Row = dict[str, Any]
 
 
 def _described(registry: Registry) -> Callable[[], list[Row]]:
-    return lambda: [{"name": name, "description": _summary(entry)} for name, entry in registry.items()]
+    return lambda: [
+        {"name": name, "description": _summary(entry)} for name, entry in registry.items()
+    ]
 
 
 def _motions() -> list[Row]:
@@ -30,7 +32,14 @@ def _motions() -> list[Row]:
     for name, kind in MOTIONS.items():
         tier, periodicity = CATEGORIES[kind.category]
         row = {"name": name, "category": kind.category, "tier": tier, "periodicity": periodicity}
-        rows.append({**row, "splits": _splits("motion", name), "ranges": _summary(kind), "shared": _shared(kind)})
+        rows.append(
+            {
+                **row,
+                "splits": _splits("motion", name),
+                "ranges": _summary(kind),
+                "shared": _shared(kind),
+            }
+        )
     return sorted(rows, key=lambda row: (list(CATEGORIES).index(row["category"]), row["name"]))
 
 
@@ -38,7 +47,12 @@ def _objects() -> list[Row]:
     rows = []
     for name, entry in OBJECTS.items():
         traits = ", ".join(trait for trait in ("rolls", "slides") if getattr(entry, trait))
-        row = {"name": name, "traits": traits, "splits": _splits("object", name), "description": _summary(entry)}
+        row = {
+            "name": name,
+            "traits": traits,
+            "splits": _splits("object", name),
+            "description": _summary(entry),
+        }
         rows.append(row)
     return rows
 
@@ -51,18 +65,29 @@ def _splits(noun: str, name: str) -> str:
 
 def _metrics() -> list[Row]:
     return [
-        {"name": name, "unit": metric.unit, "better": metric.direction, "description": metric.doc.partition("\n")[0]}
+        {
+            "name": name,
+            "unit": metric.unit,
+            "better": metric.direction,
+            "description": metric.doc.partition("\n")[0],
+        }
         for name, metric in METRICS.items()
     ]
 
 
 def _features() -> list[Row]:
     rows = [_feature(image_feature("*", 0), "H, W, 3")]
-    return rows + [_feature(entry, ", ".join(map(str, entry.column_shape)) + ",") for entry in FEATURES.values()]
+    return rows + [
+        _feature(entry, ", ".join(map(str, entry.column_shape)) + ",")
+        for entry in FEATURES.values()
+    ]
 
 
 def _feature(feature: Feature, shape: str) -> Row:
-    cases = [(feature.constant, "constant over the episode"), (feature.in_episode_table, "in the episode table")]
+    cases = [
+        (feature.constant, "constant over the episode"),
+        (feature.in_episode_table, "in the episode table"),
+    ]
     cases += [(feature.per != "frame", f"a row per {feature.per}")]
     cases += [(feature.needs_contact_sensors, "only if the capture rule uses contact sensors")]
     cases += [(feature.on_request, "only on request")]
@@ -108,7 +133,10 @@ def markdown_table(rows: list[Row]) -> str:
     header = list(rows[0])
     cells = [header, *([str(row[key]) for key in header] for row in rows)]
     widths = [max(len(line[i]) for line in cells) for i in range(len(header))]
-    lines = ["| " + " | ".join(c.ljust(w) for c, w in zip(line, widths, strict=True)) + " |" for line in cells]
+    lines = [
+        "| " + " | ".join(c.ljust(w) for c, w in zip(line, widths, strict=True)) + " |"
+        for line in cells
+    ]
     return "\n".join([lines[0], "|" + "|".join("-" * (w + 2) for w in widths) + "|", *lines[1:]])
 
 

@@ -16,28 +16,52 @@ from dynahoi_lerobot.core.escaping import Terminal
 from dynahoi_lerobot.core.files import check_output
 
 COMMANDS = {
-    "quickstart": ("dynahoi_lerobot.cli.quickstart", "generate, train, evaluate and report on a CPU in minutes"),
-    "generate": ("dynahoi_lerobot.generate.command", "record a LeRobotDataset of expert or on-policy episodes"),
-    "verify": ("dynahoi_lerobot.verify.command", "check a dataset on disk, optionally by replaying episodes"),
-    "filter": ("dynahoi_lerobot.verify.filter", "copy a dataset without outliers as the paper defines them"),
+    "quickstart": (
+        "dynahoi_lerobot.cli.quickstart",
+        "generate, train, evaluate and report on a CPU in minutes",
+    ),
+    "generate": (
+        "dynahoi_lerobot.generate.command",
+        "record a LeRobotDataset of expert or on-policy episodes",
+    ),
+    "verify": (
+        "dynahoi_lerobot.verify.command",
+        "check a dataset on disk, optionally by replaying episodes",
+    ),
+    "filter": (
+        "dynahoi_lerobot.verify.filter",
+        "copy a dataset without outliers as the paper defines them",
+    ),
     "pretrain": ("dynahoi_lerobot.pretrain.command", "pretrain an image encoder on random poses"),
     "evaluate": ("dynahoi_lerobot.evaluate.command", "evaluate a policy or a baseline on a split"),
     "report": ("dynahoi_lerobot.report.page", "write an HTML report of result folders"),
-    "play": ("dynahoi_lerobot.play.command", "serve a page on which a person catches, is scored and records"),
-    "push": ("dynahoi_lerobot.hub", "upload a dataset, a checkpoint, results or the environment to the Hub"),
+    "play": (
+        "dynahoi_lerobot.play.command",
+        "serve a page on which a person catches, is scored and records",
+    ),
+    "push": (
+        "dynahoi_lerobot.hub",
+        "upload a dataset, a checkpoint, results or the environment to the Hub",
+    ),
     "view": ("dynahoi_lerobot.cli.view", "render an episode as GIF, MP4 or HTML"),
     "doctor": ("dynahoi_lerobot.doctor", "check this machine and installation"),
     "list": ("dynahoi_lerobot.cli.listing", "list registered motions, objects, metrics, ..."),
 }
 """Command: module, imported on use, and one line of help.
 
-Its dataclass ``Options`` describes the command line; its ``run`` takes one and returns the exit code, or raises what
-``exit_code`` puts into a sentence: ValueError, FileExistsError and FileNotFoundError for bad input, CommandError and
-OSError for a failure.
+Its dataclass ``Options`` describes the command line; its ``run`` takes one and returns the exit
+code, or raises what ``exit_code`` puts into a sentence: ValueError, FileExistsError and
+FileNotFoundError for bad input, CommandError and OSError for a failure.
 """
 
 FAILED, BAD_INPUT, STOPPED = 1, 2, 130
-EXTRAS = {"datatrove": "scale", "ray": "scale", "openai": "vlm", "pydantic": "vlm", "aiohttp": "play"}
+EXTRAS = {
+    "datatrove": "scale",
+    "ray": "scale",
+    "openai": "vlm",
+    "pydantic": "vlm",
+    "aiohttp": "play",
+}
 EXTRAS |= dict.fromkeys(("lerobot", "torch", "huggingface_hub", "httpx"), "lerobot")
 """Extra that installs a package."""
 LONGEST = 800
@@ -48,7 +72,9 @@ class _Parser(argparse.ArgumentParser):
     """Reports a bad argument in one sentence, without the usage text."""
 
     def __init__(self, **options: Any) -> None:
-        """Disallow abbreviated options: results store the command line, in which only the full ``--salt`` is hidden."""
+        """Disallow abbreviated options: results store the command line, in which only the full
+        ``--salt`` is hidden.
+        """
         super().__init__(**options, allow_abbrev=False)
 
     def error(self, message: str) -> NoReturn:
@@ -57,7 +83,9 @@ class _Parser(argparse.ArgumentParser):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit code: 0 success, 1 failure, 2 bad input, 130 interrupted."""
+    """Run a command and return its exit code: 0 success, 1 failure, 2 bad input, 130
+    interrupted.
+    """
     # it warns in 90 lines that torchcodec is unusable, which `dynahoi doctor` reports in one
     logging.getLogger("lerobot.utils.import_utils").setLevel(logging.ERROR)
     words = list(sys.argv[1:] if argv is None else argv)
@@ -69,7 +97,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     spoken = " ".join(["dynahoi", *(word for word in words[:1] if word in COMMANDS)])
 
     with suppress(ValueError):  # outside the main thread
-        signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # removes what is half made
+        signal.signal(
+            signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM)
+        )  # removes what is half made
 
     def run() -> int:
         name = parser.parse_args(words[:1]).command
@@ -83,7 +113,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def exit_code(spoken: str, run: Callable[[], int]) -> int:
-    """Return the exit code of ``run``, or print in one sentence, after what was ``spoken``, what stopped it."""
+    """Return the exit code of ``run``, or print in one sentence, after what was ``spoken``, what
+    stopped it.
+    """
     out, err = (cast("TextIO", Terminal(stream)) for stream in (sys.stdout, sys.stderr))
     with redirect_stdout(out), redirect_stderr(err):
         try:
@@ -103,10 +135,20 @@ def exit_code(spoken: str, run: Callable[[], int]) -> int:
 
 
 def _sentence(error: Exception) -> str:
-    """Return the message in one printable line, without its middle if a value makes it very long."""
-    told = (error.filename, error.strerror) if isinstance(error, OSError) and error.strerror else (error,)
+    """Return the message in one printable line, without its middle if a value makes it very
+    long.
+    """
+    told = (
+        (error.filename, error.strerror)
+        if isinstance(error, OSError) and error.strerror
+        else (error,)
+    )
     sentence = " ".join(": ".join(str(part) for part in told if part).split())
-    return sentence if len(sentence) <= LONGEST else f"{sentence[: LONGEST // 2]} ... {sentence[-LONGEST // 2 :]}"
+    return (
+        sentence
+        if len(sentence) <= LONGEST
+        else f"{sentence[: LONGEST // 2]} ... {sentence[-LONGEST // 2 :]}"
+    )
 
 
 def _check_outputs(options: object) -> None:

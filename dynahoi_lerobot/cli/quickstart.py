@@ -1,8 +1,8 @@
 """``dynahoi quickstart``: dataset, training, evaluation and report, in minutes on two CPU cores.
 
-generate -> lerobot-train (ObAct) -> lerobot-eval -> report. The privileged baselines, which need no checkpoint, are
-evaluated beside the training, which leaves a core idle. A stage is skipped if its product exists, so an interrupted
-quickstart resumes.
+generate -> lerobot-train (ObAct) -> lerobot-eval -> report. The privileged baselines, which need no
+checkpoint, are evaluated beside the training, which leaves a core idle. A stage is skipped if its
+product exists, so an interrupted quickstart resumes.
 """
 
 import importlib.util
@@ -35,7 +35,8 @@ from dynahoi_lerobot.sampling.splits import SMALL_TEST
 
 IMAGE_SIZE = 96
 TRAINING = Path(__file__).with_suffix(".yaml")
-"""LeRobot's training config: recipes/train/obact.yaml without evaluation; the command line sets folders and steps."""
+"""LeRobot's training config: recipes/train/obact.yaml without evaluation; the command line sets
+folders and steps."""
 KINDS = BENCHMARK.splits[SMALL_TEST].motions
 GIFS = 6
 BASELINES = ("intercept", "constant_velocity", "hold")
@@ -50,14 +51,17 @@ TASK_DONE = "metrics so far:"
 STEPS_DONE, LOG_STEPS = " step:", 5
 """What `lerobot-train` prints, and every how many steps."""
 THREADS = {"train": 2, "eval": 1}
-"""Of torch: a training step takes 0.56 s on two cores instead of 0.79 s. Clips are recorded beside the evaluation."""
+"""Of torch: a training step takes 0.56 s on two cores instead of 0.79 s. Clips are recorded beside
+the evaluation."""
 POLICY = "obact"
 """Name of the trained policy's results."""
 
 
 @dataclass(frozen=True)
 class Size:
-    """How much is done: dataset episodes, training steps, evaluation episodes per kind, and how many of ``KINDS``."""
+    """How much is done: dataset episodes, training steps, evaluation episodes per kind, and how
+    many of ``KINDS``.
+    """
 
     episodes: int = 800
     steps: int = 400
@@ -75,7 +79,9 @@ class Options:
     out: Path = option(Path("outputs/quickstart"), "output folder")
     episodes: int = option(Size.episodes, "dataset episodes", whole(1, 10**6))
     steps: int = option(Size.steps, "training steps", whole(1, 10**6))
-    evaluation_episodes: int = option(Size.per_kind, "evaluation episodes per kind of motion", whole(1, 1000))
+    evaluation_episodes: int = option(
+        Size.per_kind, "evaluation episodes per kind of motion", whole(1, 1000)
+    )
     tiny: bool = option(False, "smoke test with meaningless scores")
     open: bool = option(False, "open the report in the browser when done")
 
@@ -84,11 +90,14 @@ def run(options: Options) -> int:
     """Run the remaining stages; return the exit code."""
     if missing := [name for name in NEEDS if importlib.util.find_spec(name) is None]:
         raise ValueError(
-            f"training needs {', '.join(missing)}: pip install '.[lerobot]' ./envs/lerobot_env_dynahoi "
+            f"training needs {', '.join(missing)}: pip install '.[lerobot]' "
+            f"./envs/lerobot_env_dynahoi "
             "./policies/lerobot_policy_obact, in a checkout"
         )
     check_root(out := options.out.resolve())
-    size = TINY if options.tiny else Size(options.episodes, options.steps, options.evaluation_episodes)
+    size = (
+        TINY if options.tiny else Size(options.episodes, options.steps, options.evaluation_episodes)
+    )
     start = time.monotonic()
     with working_folder(out, {"quickstart": asdict(size)}):
         _run_stages(out, size)
@@ -150,7 +159,10 @@ def _train(out: Path, size: Size) -> None:
         f"--save_freq={size.steps}",
         f"--log_freq={LOG_STEPS}",
     ]
-    total, looks = size.steps // LOG_STEPS, "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
+    total, looks = (
+        size.steps // LOG_STEPS,
+        "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}",
+    )
     bar = {"total": total, "desc": "encoding and training", "bar_format": looks}
     with _run_into("train", arguments, out, partial, STEPS_DONE, **bar):
         checkpoint.parent.mkdir(exist_ok=True)
@@ -159,7 +171,11 @@ def _train(out: Path, size: Size) -> None:
 
 def _evaluate(out: Path, size: Size) -> None:
     """Evaluate; keep the results only once every kind of motion has been played."""
-    kinds, results, partial = KINDS[: size.kinds], out / "results" / POLICY, out / "results" / f"{POLICY}.partial"
+    kinds, results, partial = (
+        KINDS[: size.kinds],
+        out / "results" / POLICY,
+        out / "results" / f"{POLICY}.partial",
+    )
     arguments = [
         f"--policy.path={_checkpoint(out)}",
         f"--policy.device={_device()}",
@@ -175,7 +191,16 @@ def _evaluate(out: Path, size: Size) -> None:
     ]
     with ThreadPoolExecutor(1) as beside:
         filmed = beside.submit(_film, out, min(GIFS, len(kinds) * size.per_kind))
-        with _run_into("eval", arguments, out, partial, TASK_DONE, total=len(kinds), desc="evaluating", unit="kind"):
+        with _run_into(
+            "eval",
+            arguments,
+            out,
+            partial,
+            TASK_DONE,
+            total=len(kinds),
+            desc="evaluating",
+            unit="kind",
+        ):
             for clip in (film := filmed.result()).glob("*.gif"):
                 clip.rename(partial / results.name / clip.name)
             shutil.rmtree(film, ignore_errors=True)
@@ -183,7 +208,9 @@ def _evaluate(out: Path, size: Size) -> None:
 
 
 @contextmanager
-def _run_into(command: str, arguments: list[str], out: Path, partial: Path, step: str, **bar: Any) -> Iterator[None]:
+def _run_into(
+    command: str, arguments: list[str], out: Path, partial: Path, step: str, **bar: Any
+) -> Iterator[None]:
     """Run ``lerobot-train`` or ``lerobot-eval``; the body moves what is kept out of ``partial``."""
     log = out / f"lerobot_{command}.log"
     shutil.rmtree(partial, ignore_errors=True)
@@ -197,7 +224,9 @@ def _run_into(command: str, arguments: list[str], out: Path, partial: Path, step
 
 
 def run_lerobot(command: str, arguments: list[str], log: Path, step: str, bar: tqdm) -> int:
-    """Return the exit code of ``lerobot-<command>``, which prints into ``log``; ``bar`` counts lines with ``step``."""
+    """Return the exit code of ``lerobot-<command>``, which prints into ``log``; ``bar`` counts
+    lines with ``step``.
+    """
     process = subprocess.Popen(
         [sys.executable, "-m", f"lerobot.scripts.lerobot_{command}", *arguments],
         stdout=subprocess.PIPE,
@@ -240,7 +269,16 @@ def _baselines(out: Path, size: Size) -> None:
     """Evaluate the privileged baselines on the same episodes."""
     count = size.kinds * size.per_kind
     for name in BASELINES:
-        words = ["--policy", name, "--out", out / "results" / name, "--episodes", count, "--image-size", 0]
+        words = [
+            "--policy",
+            name,
+            "--out",
+            out / "results" / name,
+            "--episodes",
+            count,
+            "--image-size",
+            0,
+        ]
         _dynahoi(out / f"{name}.log", "evaluate", *words)
 
 
@@ -252,7 +290,13 @@ def _conclude(out: Path, start: float, *, show: bool) -> None:
     names = [result.marked(result.info.policy) for result in results]
     table = replace(metrics_table(names, results, SHOWN), caption="").as_text()
     (out / TABLE).write_text(table + "\n")
-    print(f"\n{table}\n\nThese scores follow a short training; docs/results.md lists those of the whole recipe.")
-    print(f"done in {time.monotonic() - start:.0f} s; the report, with all metrics: {page.resolve().as_uri()}")
+    print(
+        f"\n{table}\n\nThese scores follow a short training; docs/results.md lists those of the "
+        f"whole recipe."
+    )
+    print(
+        f"done in {time.monotonic() - start:.0f} s; the report, with all metrics: "
+        f"{page.resolve().as_uri()}"
+    )
     if show:
         webbrowser.open(page.resolve().as_uri())

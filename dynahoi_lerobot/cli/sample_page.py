@@ -1,4 +1,6 @@
-"""``dynahoi view --sample``: a few episodes of every kind of motion on one page, with what they hold frame by frame."""
+"""``dynahoi view --sample``: a few episodes of every kind of motion on one page, with what they
+hold frame by frame.
+"""
 
 import io
 import json
@@ -29,7 +31,8 @@ JPEG_QUALITY = 80
 
 
 def write_sample(out: Path, store: Store, key: str, per_kind: int) -> int:
-    """Write a page with ``per_kind`` episodes of each kind of motion, spread evenly over a dataset; return how many.
+    """Write a page with ``per_kind`` episodes of each kind of motion, spread evenly over a dataset;
+    return how many.
 
     The dataset's episode table has the column ``motion``; ``key`` is that of the images to show.
     """
@@ -38,22 +41,31 @@ def write_sample(out: Path, store: Store, key: str, per_kind: int) -> int:
     episodes = [_episode(store, index, key, columns) for index in chosen]
     _scale_closing(episodes)
     data = {"episodes": episodes, "columns": SHEET_COLUMNS, "command": removal_command(store.root)}
-    template = Environment(autoescape=True, undefined=StrictUndefined).from_string(TEMPLATE.read_text("utf-8"))
+    template = Environment(autoescape=True, undefined=StrictUndefined).from_string(
+        TEMPLATE.read_text("utf-8")
+    )
     text = template.render(
         title=f"{len(chosen)} of the {store.episodes} episodes of {store.root}",
         has_target=any("target" in episode for episode in episodes),
-        data=Markup(json.dumps(data, allow_nan=False).replace("<", "\\u003c")),  # it cannot end the script element
+        data=Markup(
+            json.dumps(data, allow_nan=False).replace("<", "\\u003c")
+        ),  # it cannot end the script element
     )
     write_atomically({out: lambda draft: draft.write_text(text, encoding="utf-8")})
     return len(chosen)
 
 
 def stratified(kinds: list[str], per_kind: int) -> list[int]:
-    """Return up to ``per_kind`` indices of each kind, spread evenly over its indices; kinds in alphabetical order."""
+    """Return up to ``per_kind`` indices of each kind, spread evenly over its indices; kinds in
+    alphabetical order.
+    """
     found = defaultdict(list)
     for index, kind in enumerate(kinds):
         found[kind].append(index)
-    spread = {kind: np.linspace(0, len(known) - 1, min(per_kind, len(known))) for kind, known in found.items()}
+    spread = {
+        kind: np.linspace(0, len(known) - 1, min(per_kind, len(known)))
+        for kind, known in found.items()
+    }
     return [found[kind][round(place)] for kind in sorted(found) for place in spread[kind]]
 
 
@@ -67,7 +79,11 @@ def removal_command(root: Path) -> str:
     """Return the command that writes the dataset without some episodes, up to their list."""
     kept = root.with_name(f"{root.name}_kept")
     words = ["lerobot-edit-dataset", f"--repo_id=local/{root.name}", f"--root={root}"]
-    words += [f"--new_repo_id=local/{kept.name}", f"--new_root={kept}", "--operation.type=delete_episodes"]
+    words += [
+        f"--new_repo_id=local/{kept.name}",
+        f"--new_root={kept}",
+        "--operation.type=delete_episodes",
+    ]
     return f"{shlex.join(words)} --operation.episode_indices"
 
 
@@ -79,31 +95,51 @@ def column(root: Path, name: str) -> np.ndarray | None:
         return None
 
 
-def _episode(store: Store, index: int, key: str, columns: dict[str, np.ndarray | None]) -> dict[str, Any]:
+def _episode(
+    store: Store, index: int, key: str, columns: dict[str, np.ndarray | None]
+) -> dict[str, Any]:
     """Return what the page shows of an episode; positions are (T, 3) lists [m], home frame."""
     row, table, images = read_episode(store, index, key)
     frames = slice(row["dataset_from_index"], row["dataset_to_index"])
     state, action = found = [column_array(table, name) for name in ("observation.state", "action")]
     if (least := min(array.shape[1] for array in found)) <= PALM_DOF:
-        raise ValueError(f"its state and action must have more than {PALM_DOF} numbers, got {least}")
+        raise ValueError(
+            f"its state and action must have more than {PALM_DOF} numbers, got {least}"
+        )
     grasp = store.features["action"]["names"] == [*CONTROL_MODES[GRASP]]
     goal = action[:, :PALM_DOF] + (state[:, :PALM_DOF] if grasp else 0.0)
-    closing = {"palm": state[:, PALM_DOF:].mean(axis=1), "action": action[:, PALM_DOF:].mean(axis=1)}
+    closing = {
+        "palm": state[:, PALM_DOF:].mean(axis=1),
+        "action": action[:, PALM_DOF:].mean(axis=1),
+    }
     told = {"palm": state[:, :PALM_DOF], "action": goal}
     if (pose := columns["target.pose"]) is not None:
         told["target"] = pose[frames, :PALM_DOF]
     phase = columns["observation.phase"]
     window = 0 if phase is None else int((~is_acting(phase[frames])).sum())
     return {
-        "index": index, "kind": row["motion"], "task": row["tasks"][0], "success": bool(row.get("success", True)),
-        "frames": len(images), "window": window, "grasp": grasp, "closing": closing,
+        "index": index,
+        "kind": row["motion"],
+        "task": row["tasks"][0],
+        "success": bool(row.get("success", True)),
+        "frames": len(images),
+        "window": window,
+        "grasp": grasp,
+        "closing": closing,
         "sheet": _sheet(images),
-    } | {name: np.round(values, 4).tolist() for name, values in told.items()}  # fmt: skip
+    } | {name: np.round(values, 4).tolist() for name, values in told.items()}
 
 
 def _scale_closing(episodes: list[dict[str, Any]]) -> None:
-    """Express mean joint angles as shares of the greatest one shown; a grasp's closing number is one already."""
-    angles = [e["closing"][name] for e in episodes for name in ("palm", "action") if name == "palm" or not e["grasp"]]
+    """Express mean joint angles as shares of the greatest one shown; a grasp's closing number is
+    one already.
+    """
+    angles = [
+        e["closing"][name]
+        for e in episodes
+        for name in ("palm", "action")
+        if name == "palm" or not e["grasp"]
+    ]
     most = max((float(values.max()) for values in angles), default=0.0) or 1.0
     for episode in episodes:
         for name, values in episode["closing"].items():
@@ -116,6 +152,8 @@ def _sheet(images: np.ndarray) -> str:
     height, width = images.shape[1:3]
     sheet = Image.new("RGB", (SHEET_COLUMNS * width, -(-len(images) // SHEET_COLUMNS) * height))
     for i, image in enumerate(images):
-        sheet.paste(Image.fromarray(image), (i % SHEET_COLUMNS * width, i // SHEET_COLUMNS * height))
+        sheet.paste(
+            Image.fromarray(image), (i % SHEET_COLUMNS * width, i // SHEET_COLUMNS * height)
+        )
     sheet.save(buffer := io.BytesIO(), "JPEG", quality=JPEG_QUALITY)
     return data_url("image/jpeg", buffer.getvalue())

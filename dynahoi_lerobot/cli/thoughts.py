@@ -1,4 +1,6 @@
-"""What a policy saw and expected, drawn on the images of the episode that it played: ``dynahoi view --thoughts``."""
+"""What a policy saw and expected, drawn on the images of the episode that it played: ``dynahoi view
+--thoughts``.
+"""
 
 from __future__ import annotations
 
@@ -50,16 +52,20 @@ class ThinkingAgent(PolicyAgent):
         """
         command = super().act(observation)
         if (thought := getattr(self._policy, "thought", None)) is None:
-            raise ValueError(f"--thoughts draws what ObAct records of its decisions; {self.name} records nothing")
+            raise ValueError(
+                f"--thoughts draws what ObAct records of its decisions; {self.name} records nothing"
+            )
         self.thoughts.append(thought)
         return command
 
 
 def drawn(episode: Episode, thoughts: Sequence[Any], batch: WorldBatch, view: str) -> np.ndarray:
-    """Return (T, H, W, 3) uint8 RGB: a view's images, enlarged, with one thought each, and a strip of attention.
+    """Return (T, H, W, 3) uint8 RGB: a view's images, enlarged, with one thought each, and a strip
+    of attention.
 
-    Where a camera sees the target is a cross, where the target is expected are dots, the later the smaller, and where
-    the hand is to meet it a ring. The strip shows how much each frame observed so far counts.
+    Where a camera sees the target is a cross, where the target is expected are dots, the later the
+    smaller, and where the hand is to meet it a ring. The strip shows how much each frame observed
+    so far counts.
     """
     images = episode.images[view]
     pages = []
@@ -72,7 +78,9 @@ def drawn(episode: Episode, thoughts: Sequence[Any], batch: WorldBatch, view: st
 
 
 def _camera(batch: WorldBatch, view: str, palm: np.ndarray) -> Pixel:
-    """Return what projects a place [m], home frame, to column and row; None if it is not in front of the camera."""
+    """Return what projects a place [m], home frame, to column and row; None if it is not in front
+    of the camera.
+    """
     model, (camera, _) = batch.scene.model, VIEWS[view]
     pose = camera_pose(model, camera)
     axes = quat_to_matrix(pose[3:])  # columns: right, up, backwards

@@ -1,4 +1,5 @@
-"""``dynahoi view``: one episode, newly played, from a dataset or from results, as GIF, MP4 or a web page.
+"""``dynahoi view``: one episode, newly played, from a dataset or from results, as GIF, MP4 or a web
+page.
 
 With ``--sample`` a page of several episodes of a dataset.
 """
@@ -22,7 +23,13 @@ from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.core.reading import reading
 from dynahoi_lerobot.core.rules import is_acting
 from dynahoi_lerobot.dataset.store import Store
-from dynahoi_lerobot.evaluate.arguments import EXPERT_ALIAS, TRAINED_FOR, TRUST, make_actor, playing_rules
+from dynahoi_lerobot.evaluate.arguments import (
+    EXPERT_ALIAS,
+    TRAINED_FOR,
+    TRUST,
+    make_actor,
+    playing_rules,
+)
 from dynahoi_lerobot.evaluate.gif import encode_gif, frame_phases, phases_of
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.experts import EXPERTS
@@ -42,7 +49,8 @@ class Clip:
     Attributes:
         frames: (T, H, W, 3) uint8 RGB.
         caption: one line of text.
-        phases: ``observing``, ``acting`` or ``localized`` for each frame; None if they are not known.
+        phases: ``observing``, ``acting`` or ``localized`` for each frame; None if they are not
+            known.
         fps: frames per second.
     """
 
@@ -62,7 +70,8 @@ class Options:
     episode: int = option(0, "with --dataset: episode index")
     sample: int | None = option(
         None,
-        "with --dataset: a page with N episodes of each motion, to inspect frames, actions and target",
+        "with --dataset: a page with N episodes of each motion, to inspect frames, actions and "
+        "target",
         whole(1, 100),
         metavar="N",
     )
@@ -74,7 +83,9 @@ class Options:
     split: str = option("test", "with --motion: train, val, test, twins or one of the ood_ splits")
     policy: str = option("expert", "with --motion: a checkpoint or a baseline")
     thoughts: bool = option(
-        False, "with --motion and a checkpoint of ObAct as --policy: draw what it sees, expects and attends to"
+        False,
+        "with --motion and a checkpoint of ObAct as --policy: draw what it sees, expects and "
+        "attends to",
     )
     trust: bool = option(False, TRUST)
     rules: dict[str, Any] = given_of(
@@ -87,17 +98,28 @@ class Options:
 def run(options: Options) -> int:
     """Write the clip; return the exit code."""
     if (suffix := options.out.suffix) not in WRITERS:
-        raise ValueError(f"cannot write {suffix or 'a file without suffix'!r}; use {', '.join(WRITERS)}")
+        raise ValueError(
+            f"cannot write {suffix or 'a file without suffix'!r}; use {', '.join(WRITERS)}"
+        )
     if options.sample is not None:
         return _sample(options.sample, options)
     sources = {"motion": _played, "dataset": _from_dataset, "results": _replayed}
-    chosen = [(make, source) for name, make in sources.items() if (source := getattr(options, name)) is not None]
-    if options.thoughts and (options.motion is None or options.policy in (EXPERT_ALIAS, *EXPERTS.names())):
+    chosen = [
+        (make, source)
+        for name, make in sources.items()
+        if (source := getattr(options, name)) is not None
+    ]
+    if options.thoughts and (
+        options.motion is None or options.policy in (EXPERT_ALIAS, *EXPERTS.names())
+    ):
         raise ValueError(
-            "--thoughts draws what a policy thinks while it plays: give --motion MOTION --policy CHECKPOINT"
+            "--thoughts draws what a policy thinks while it plays: give --motion MOTION --policy "
+            "CHECKPOINT"
         )
     if len(chosen) != 1:
-        raise ValueError("choose one of --motion MOTION, --dataset DIR --episode I, --results DIR --seed S")
+        raise ValueError(
+            "choose one of --motion MOTION, --dataset DIR --episode I, --results DIR --seed S"
+        )
     ((make_clip, source),) = chosen
     clip = make_clip(source, options)
     write_clip(options.out, clip)
@@ -110,16 +132,22 @@ def _sample(per_kind: int, options: Options) -> int:
     if options.dataset is None or options.motion is not None or options.results is not None:
         raise ValueError("--sample takes its episodes from --dataset DIR")
     if options.out.suffix != ".html":
-        raise ValueError(f"--sample writes a web page, so --out must end in .html, got {options.out}")
+        raise ValueError(
+            f"--sample writes a web page, so --out must end in .html, got {options.out}"
+        )
     (store := Store(options.dataset)).check_files()
     if not all("motion" in row for row in store.rows):
         raise ValueError(
-            f"{options.dataset} does not name the motions of its episodes, so there is nothing to stratify by"
+            f"{options.dataset} does not name the motions of its episodes, so there is nothing "
+            f"to stratify by"
         )
     key = _camera_key(options, store)
     with reading(options.dataset):
         shown = write_sample(options.out, store, key, per_kind)
-    print(f"{options.out}: {shown} episodes of {options.dataset}; mark some to see the command that removes them")
+    print(
+        f"{options.out}: {shown} episodes of {options.dataset}; mark some to see the command "
+        f"that removes them"
+    )
     return 0
 
 
@@ -129,15 +157,20 @@ def _played(motion: str, options: Options) -> Clip:
     if options.thoughts:
         actor = ThinkingAgent(options.policy, trust=options.trust)
     else:
-        actor = make_actor(options.policy, given.get("capture", Recipe.capture), trust=options.trust)
+        actor = make_actor(
+            options.policy, given.get("capture", Recipe.capture), trust=options.trust
+        )
     views = {*actor.views, options.view} - {"ego"}
-    if not BENCHMARK.splits_with("motion", motion):  # not part of the benchmark, so no split lists it
+    if not BENCHMARK.splits_with(
+        "motion", motion
+    ):  # not part of the benchmark, so no split lists it
         given["motions"] = (motion,)
     recipe = Recipe(split=options.split, views=tuple(sorted(views)), **playing_rules(given, actor))
     known = kind_seeds(recipe, motion)
     if options.seed >= len(known):
         raise ValueError(
-            f"split {options.split!r} has {len(known)} episodes of motion {motion!r}, so --seed must be 0 to "
+            f"split {options.split!r} has {len(known)} episodes of motion {motion!r}, so --seed "
+            f"must be 0 to "
             f"{len(known) - 1}, got {options.seed}"
         )
     spec = sample_specs(recipe, [known[options.seed]])[0]
@@ -154,7 +187,9 @@ def _replayed(folder: Path, options: Options) -> Clip:
     results = read_results(folder)
     seeds = [row["seed"] for row in results.rows]
     if options.seed not in seeds:
-        raise ValueError(f"{folder} has no episode with seed {options.seed}; it has {min(seeds)} to {max(seeds)}")
+        raise ValueError(
+            f"{folder} has no episode with seed {options.seed}; it has {min(seeds)} to {max(seeds)}"
+        )
     recipe = results.recipe()
     if recipe.fingerprint() != results.info.fingerprint:
         print("other code produced these results: the replay may differ from the evaluated episode")
@@ -168,7 +203,9 @@ def _replayed(folder: Path, options: Options) -> Clip:
 def _clip(episode: Episode, view: str, agent: str) -> Clip:
     if view not in episode.images:
         raise ValueError("a clip needs images, and --image-size is 0")
-    return Clip(episode.images[view], f"{agent}: {episode.meta.task} {episode.stage}", phases_of(episode))
+    return Clip(
+        episode.images[view], f"{agent}: {episode.meta.task} {episode.stage}", phases_of(episode)
+    )
 
 
 def _from_dataset(root: Path, options: Options) -> Clip:
@@ -199,30 +236,38 @@ def _stored_phases(root: Path, frames: slice) -> list[str] | None:
     return frame_phases(is_acting(phase[frames]), localized[frames, 0].astype(bool))
 
 
-# -- files ------------------------------------------------------------------------------------------------------------
+# -- files -----------------------------------------------------------------------------------------
 
 
 MIN_WIDTH_PX = 384
 """Least width of a GIF; smaller frames are enlarged."""
 
 PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>{caption}</title>
-<meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data:; style-src 'unsafe-inline'">
-<style>body{{font:16px system-ui;background:#111;color:#ddd;text-align:center}}img{{image-rendering:pixelated}}</style>
+<meta http-equiv="Content-Security-Policy"
+ content="default-src 'none'; img-src data:; style-src 'unsafe-inline'">
+<style>body{{font:16px system-ui;background:#111;color:#ddd;text-align:center}}
+img{{image-rendering:pixelated}}</style>
 <p>{caption}</p><img alt="{caption}" src="{address}">"""
 
 
 def write_clip(path: Path, clip: Clip) -> None:
-    """Write ``clip`` atomically, in the format of the suffix of ``path``, one of ``WRITERS``; create folders."""
+    """Write ``clip`` atomically, in the format of the suffix of ``path``, one of ``WRITERS``;
+    create folders.
+    """
     write_atomically({path: lambda draft: WRITERS[path.suffix](draft, clip)})
 
 
 def _gif(clip: Clip) -> bytes:
-    return encode_gif(clip.frames, fps=clip.fps, caption=clip.caption, phases=clip.phases, min_width=MIN_WIDTH_PX)
+    return encode_gif(
+        clip.frames, fps=clip.fps, caption=clip.caption, phases=clip.phases, min_width=MIN_WIDTH_PX
+    )
 
 
 def _write_html(path: Path, clip: Clip) -> None:
     address = data_url("image/gif", _gif(clip))
-    path.write_text(PAGE.format(caption=html.escape(clip.caption), address=address), encoding="utf-8")
+    path.write_text(
+        PAGE.format(caption=html.escape(clip.caption), address=address), encoding="utf-8"
+    )
 
 
 def _write_mp4(path: Path, clip: Clip) -> None:
@@ -239,5 +284,9 @@ def _write_mp4(path: Path, clip: Clip) -> None:
         video.mux(stream.encode())
 
 
-WRITERS = {".gif": lambda path, clip: path.write_bytes(_gif(clip)), ".mp4": _write_mp4, ".html": _write_html}
+WRITERS = {
+    ".gif": lambda path, clip: path.write_bytes(_gif(clip)),
+    ".mp4": _write_mp4,
+    ".html": _write_html,
+}
 """Function that writes a clip to a path, by the suffix of the file."""

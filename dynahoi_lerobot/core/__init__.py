@@ -1,1 +1,3 @@
-"""What every room uses: conventions, rules, features, episodes, agents, registries, and small tools."""
+"""What every room uses: conventions, rules, features, episodes, agents, registries, and small
+tools.
+"""

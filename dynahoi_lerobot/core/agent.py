@@ -1,4 +1,6 @@
-"""Who moves the hand. A learned agent sees an Observation; an expert sees the WorldState; the types keep them apart."""
+"""Who moves the hand. A learned agent sees an Observation; an expert sees the WorldState; the types
+keep them apart.
+"""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -19,14 +21,18 @@ class Observation:
     The home frame has the axes of the world and its origin where the palm waits in this episode.
 
     Attributes:
-        images: (N, H, W, 3) uint8 RGB by view, ``ego`` (the hand's camera) first; empty if nothing was rendered.
+        images: (N, H, W, 3) uint8 RGB by view, ``ego`` (the hand's camera) first; empty if nothing
+            was rendered.
         state: (N, 18) float32, palm centre position [m], home frame, and joint angles [rad].
         phase: (N, 2) float32, [1, 0] observing, [0, 1] acting.
         tasks: N instructions.
-        touch: (N, 5) float32 force of each finger on the target [N], None unless the capture rule uses_contact_sensors.
-        environment_state: (N, 13) float32, the simulator's truth: pose and velocity of the target as in `WorldState`,
-            [m], quaternion, [m/s] and [rad/s]; None unless the recipe asks for it.
-        sighting: (N, 14) float32, where the eye sees the target, see `features.py`; None unless the recipe asks for it.
+        touch: (N, 5) float32 force of each finger on the target [N], None unless the capture rule
+            uses_contact_sensors.
+        environment_state: (N, 13) float32, the simulator's truth: pose and velocity of the target
+            as in `WorldState`, [m], quaternion, [m/s] and [rad/s]; None unless the recipe asks for
+            it.
+        sighting: (N, 14) float32, where the eye sees the target, see `features.py`; None unless the
+            recipe asks for it.
     """
 
     images: dict[str, np.ndarray]
@@ -44,16 +50,18 @@ class WorldState:
 
     Attributes:
         observation: what a policy would see.
-        specs: the N episodes being played, None where no world is in use; each knows its untouched target's path.
+        specs: the N episodes being played, None where no world is in use; each knows its untouched
+            target's path.
         frame: (N,) int, frame index within the episode.
         attempt: (N,) int, 1 for the first try at an episode.
         target_pose: (N, 7) position [m], home frame, and quaternion wxyz.
         target_velocity: (N, 6) linear [m/s] and angular [rad/s], along the world's axes.
         localized: (N,) bool, the target has been localised in the control phase.
         control: the limits of the hand and the latency of its commands.
-        localization_radius_m: palm centre to target centre, below which the target is localised [m].
-        state_when_due: (N, 18) where undisturbed hands will be when a command given now takes effect: [m],
-            home frame, and [rad].
+        localization_radius_m: palm centre to target centre, below which the target is localised
+            [m].
+        state_when_due: (N, 18) where undisturbed hands will be when a command given now takes
+            effect: [m], home frame, and [rad].
     """
 
     observation: Observation
@@ -82,20 +90,24 @@ class Meeting:
 
 
 class Actor(ABC):
-    """Whoever moves the hands of N worlds: an `Agent` from observations, an `Expert` from the simulator's state.
+    """Whoever moves the hands of N worlds: an `Agent` from observations, an `Expert` from the
+    simulator's state.
 
     Attributes:
         name: labels results.
         privileged: it sees the simulator's state; results say so.
-        has_memory: what it does depends on earlier frames, so that all worlds must begin their episodes together.
+        has_memory: what it does depends on earlier frames, so that all worlds must begin their
+            episodes together.
         sees_images: turns rendering on.
         environment_state: the recipe's ``environment_state`` that it needs; empty for none.
-        trained_for: values of fields of the recipe that it was trained for, such as ``image_size``, as far as it tells.
+        trained_for: values of fields of the recipe that it was trained for, such as ``image_size``,
+            as far as it tells.
         views: the views it needs besides ``ego``.
         weights: sha256 of its files of weights, by name; empty if it has none.
-        retries: how often it may begin a failed episode again; ``WorldState.attempt`` tells it that it does.
-        labels: (N, 18) what a teacher wanted from the frames it last gave commands for, as commands; None if nobody
-            labels them, so that the commands stand for themselves.
+        retries: how often it may begin a failed episode again; ``WorldState.attempt`` tells it that
+            it does.
+        labels: (N, 18) what a teacher wanted from the frames it last gave commands for, as
+            commands; None if nobody labels them, so that the commands stand for themselves.
     """
 
     name: str = "actor"
@@ -121,8 +133,11 @@ class Actor(ABC):
         return {}
 
     @abstractmethod
-    def commands(self, observation: Observation, world_state: Callable[[Observation], WorldState]) -> np.ndarray:
-        """Return (N, 18) commands: palm position [m], home frame, and joint angles [rad] for the next frame.
+    def commands(
+        self, observation: Observation, world_state: Callable[[Observation], WorldState]
+    ) -> np.ndarray:
+        """Return (N, 18) commands: palm position [m], home frame, and joint angles [rad] for the
+        next frame.
 
         Args:
             observation: what a policy may see.
@@ -137,13 +152,17 @@ class Agent(Actor):
     privileged = False
     has_memory = True
 
-    def commands(self, observation: Observation, world_state: Callable[[Observation], WorldState]) -> np.ndarray:
+    def commands(
+        self, observation: Observation, world_state: Callable[[Observation], WorldState]
+    ) -> np.ndarray:
         """Return (N, 18) commands."""
         return self.act(observation)
 
     @abstractmethod
     def act(self, observation: Observation) -> np.ndarray:
-        """Return (N, 18) commands: palm position [m], home frame, and joint angles [rad] for the next frame."""
+        """Return (N, 18) commands: palm position [m], home frame, and joint angles [rad] for the
+        next frame.
+        """
 
 
 class ChunkAgent(Agent):
@@ -175,30 +194,36 @@ class ChunkAgent(Agent):
         Args:
             observation: of all worlds.
             worlds: (n,) sorted worlds that need a chunk.
-            executed: (n,) actions of each previous chunk that are past, to continue the others; None for chunks that
-                continue nothing.
-            delays: (n,) actions that will be past when each chunk is ready; None if ``executed`` is.
+            executed: (n,) actions of each previous chunk that are past, to continue the others;
+                None for chunks that continue nothing.
+            delays: (n,) actions that will be past when each chunk is ready; None if ``executed``
+                is.
 
         Returns:
-            (n, H, 18) commands for the observed frame and those after it, and (n,) what the inference took [s].
+            (n, H, 18) commands for the observed frame and those after it, and (n,) what the
+            inference took [s].
         """
 
 
 class Expert(Actor):
     """Maps the full simulator state of N worlds to N commands, deterministically, world by world.
 
-    A world may begin an episode at any frame of the others. What an expert keeps between frames, such as a plan, must
-    follow from the episode and the attempt alone.
+    A world may begin an episode at any frame of the others. What an expert keeps between frames,
+    such as a plan, must follow from the episode and the attempt alone.
     """
 
     name = "expert"
     privileged = True
     has_memory = False
 
-    def commands(self, observation: Observation, world_state: Callable[[Observation], WorldState]) -> np.ndarray:
+    def commands(
+        self, observation: Observation, world_state: Callable[[Observation], WorldState]
+    ) -> np.ndarray:
         """Return (N, 18) commands."""
         return self.act(world_state(observation))
 
     @abstractmethod
     def act(self, world: WorldState) -> np.ndarray:
-        """Return (N, 18) commands: palm position [m], home frame, and joint angles [rad] for the next frame."""
+        """Return (N, 18) commands: palm position [m], home frame, and joint angles [rad] for the
+        next frame.
+        """

@@ -1,4 +1,6 @@
-"""What commands share: their failure, types of arguments, and the parser that a dataclass of options describes."""
+"""What commands share: their failure, types of arguments, and the parser that a dataclass of
+options describes.
+"""
 
 from argparse import SUPPRESS, ArgumentParser, ArgumentTypeError
 from collections.abc import Callable, Collection, Iterable, Mapping
@@ -9,7 +11,9 @@ from typing import Any, get_type_hints
 
 
 class CommandError(RuntimeError):
-    """Work that cannot be done though nothing is wrong with the arguments; the message is one sentence."""
+    """Work that cannot be done though nothing is wrong with the arguments; the message is one
+    sentence.
+    """
 
 
 def names(text: str) -> tuple[str, ...]:
@@ -18,7 +22,8 @@ def names(text: str) -> tuple[str, ...]:
 
 
 def path(text: str) -> Path:
-    """Return a path whose leading ``~`` is the home folder, which a shell leaves in ``--root=~/data``.
+    """Return a path whose leading ``~`` is the home folder, which a shell leaves in
+    ``--root=~/data``.
 
     Raises:
         ArgumentTypeError: if it is empty, or there is no such home.
@@ -28,20 +33,28 @@ def path(text: str) -> Path:
     try:
         return Path(text).expanduser()
     except RuntimeError:
-        raise ArgumentTypeError(f"there is no home folder for {text!r}; write the path out") from None
+        raise ArgumentTypeError(
+            f"there is no home folder for {text!r}; write the path out"
+        ) from None
 
 
 def whole(low: int, high: int) -> Callable[[str], int]:
-    """Return a parser of a whole number from ``low`` to ``high`` and raises ArgumentTypeError for anything else."""
+    """Return a parser of a whole number from ``low`` to ``high`` and raises ArgumentTypeError for
+    anything else.
+    """
     return _reader(int, "a whole number", low, high)
 
 
 def number(low: float, high: float) -> Callable[[str], float]:
-    """Return a parser of a finite number from ``low`` to ``high`` and raises ArgumentTypeError for anything else."""
+    """Return a parser of a finite number from ``low`` to ``high`` and raises ArgumentTypeError for
+    anything else.
+    """
     return _reader(float, "a number", low, high)
 
 
-def _reader[N: (int, float)](convert: Callable[[str], N], noun: str, low: N, high: N) -> Callable[[str], N]:
+def _reader[N: (int, float)](
+    convert: Callable[[str], N], noun: str, low: N, high: N
+) -> Callable[[str], N]:
     def read(text: str) -> N:
         with suppress(ValueError):
             if low <= (value := convert(text)) <= high:
@@ -56,41 +69,62 @@ READERS = {int: int, float: float, str: str, Path: path, tuple[str, ...]: names}
 
 
 def option(
-    default: Any, text: str, read: Callable[[str], Any] | None = None, *, repr: bool = True, **settings: Any
+    default: Any,
+    text: str,
+    read: Callable[[str], Any] | None = None,
+    *,
+    repr: bool = True,
+    **settings: Any,
 ) -> Any:
     """Return the dataclass field of an option: ``--dry-run`` for a field ``dry_run``.
 
     Args:
-        default: of the field; False for a switch, ``list`` for an option that may be repeated, ``MISSING`` for one that
-            is required.
+        default: of the field; False for a switch, ``list`` for an option that may be repeated,
+            ``MISSING`` for one that is required.
         text: its help.
         read: parses what is given, instead of the entry of ``READERS`` for the type of the field.
         repr: whether the ``repr`` of the dataclass shows it.
-        settings: of argparse, such as ``choices``; or ``either``, True for those of which exactly one must be given.
+        settings: of argparse, such as ``choices``; or ``either``, True for those of which exactly
+            one must be given.
     """
-    metadata = {"help": text, "required": default is MISSING} | ({"type": read} if read else {}) | settings
+    metadata = (
+        {"help": text, "required": default is MISSING} | ({"type": read} if read else {}) | settings
+    )
     if default is list:
         return field(default_factory=list, metadata={"action": "append"} | metadata)
-    return field(default=default, repr=repr, metadata=({"action": "store_true"} if default is False else {}) | metadata)
+    return field(
+        default=default,
+        repr=repr,
+        metadata=({"action": "store_true"} if default is False else {}) | metadata,
+    )
 
 
 def argument(text: str, **settings: Any) -> Any:
-    """Return the dataclass field of a positional argument, with its help and other ``settings`` of argparse."""
+    """Return the dataclass field of a positional argument, with its help and other ``settings`` of
+    argparse.
+    """
     return field(metadata={"help": text} | settings)
 
 
 def given_of(cls: type, only: Collection[str], **notes: str) -> Any:
-    """Return a dataclass field for what is given of another dataclass: values, by name, of its fields ``only``.
+    """Return a dataclass field for what is given of another dataclass: values, by name, of its
+    fields ``only``.
 
     Each of them, an ``option`` of ``cls``, is an option here; ``notes`` add to the help of some.
     """
-    return field(default_factory=dict, metadata={"part": {"cls": cls, "only": only, "notes": notes}})
+    return field(
+        default_factory=dict, metadata={"part": {"cls": cls, "only": only, "notes": notes}}
+    )
 
 
 def add_options(
-    parser: ArgumentParser, cls: type, only: Collection[str] | None = None, notes: Mapping[str, str] | None = None
+    parser: ArgumentParser,
+    cls: type,
+    only: Collection[str] | None = None,
+    notes: Mapping[str, str] | None = None,
 ) -> None:
-    """Declare the options and arguments that a dataclass describes; those ``only`` if that is not None.
+    """Declare the options and arguments that a dataclass describes; those ``only`` if that is not
+    None.
 
     Values that are not given are left out, for the defaults of the dataclass.
     """
@@ -102,7 +136,10 @@ def add_options(
             add_options(parser, **entry.metadata["part"])
             continue
         hint = hints[entry.name]
-        read = next((read for kind, read in READERS.items() if hint in (kind, kind | None, list[kind])), None)
+        read = next(
+            (read for kind, read in READERS.items() if hint in (kind, kind | None, list[kind])),
+            None,
+        )
         settings = ({"type": read} if read else {}) | entry.metadata
         told = "; ".join(filter(None, (settings["help"], (notes or {}).get(entry.name))))
         if entry.default not in (MISSING, None, False, "", ()) and "default" not in told:
@@ -112,19 +149,32 @@ def add_options(
         if settings.pop("either", False):
             place = either = either or parser.add_mutually_exclusive_group(required=True)
         positional = "required" not in settings  # which argparse refuses for those
-        place.add_argument(entry.name if positional else "--" + entry.name.replace("_", "-"), **settings)
+        place.add_argument(
+            entry.name if positional else "--" + entry.name.replace("_", "-"), **settings
+        )
 
 
 def read_options(cls: type, given: Mapping[str, Any]) -> Any:
-    """Return an instance of the dataclass, from what the parser of ``add_options`` was ``given``."""
+    """Return an instance of the dataclass, from what the parser of ``add_options`` was
+    ``given``.
+    """
     values = {entry.name: given[entry.name] for entry in fields(cls) if entry.name in given}
-    parts = {entry.name: entry.metadata["part"]["only"] for entry in fields(cls) if "part" in entry.metadata}
-    inner = {name: {key: value for key, value in given.items() if key in only} for name, only in parts.items()}
+    parts = {
+        entry.name: entry.metadata["part"]["only"]
+        for entry in fields(cls)
+        if "part" in entry.metadata
+    }
+    inner = {
+        name: {key: value for key, value in given.items() if key in only}
+        for name, only in parts.items()
+    }
     return cls(**values, **inner)
 
 
 def refuse_given(options: Any, names: Iterable[str], remedy: str) -> None:
-    """Raise a ValueError, which ends in ``remedy``, for the first of the named options that has not its default."""
+    """Raise a ValueError, which ends in ``remedy``, for the first of the named options that has not
+    its default.
+    """
     for name in names:
         if getattr(options, name) != getattr(type(options), name):
             raise ValueError(f"--{name.replace('_', '-')} {remedy}")

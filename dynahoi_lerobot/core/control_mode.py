@@ -9,9 +9,9 @@ CONTROL_MODES = {
     JOINTS: HAND_NAMES,
     GRASP: ("palm_dx", "palm_dy", "palm_dz", "closing"),
 }
-"""Names of the numbers of an action by mode. ``joints``: where the palm should be [m], home frame, and joint angles
-[rad]. ``grasp``: the palm's displacement from where it is now [m], along the same axes, and how far the hand is closed,
-from 0, open, to 1, its closed pose."""
+"""Names of the numbers of an action by mode. ``joints``: where the palm should be [m], home frame,
+and joint angles [rad]. ``grasp``: the palm's displacement from where it is now [m], along the same
+axes, and how far the hand is closed, from 0, open, to 1, its closed pose."""
 
 
 def mode_of(size: int) -> str:
@@ -26,7 +26,9 @@ def mode_of(size: int) -> str:
     raise ValueError(f"an action has {HAND_DOF} or {len(CONTROL_MODES[GRASP])} numbers, got {size}")
 
 
-def from_grasp(action: np.ndarray, state: np.ndarray, open_joints: np.ndarray, closed_joints: np.ndarray) -> np.ndarray:
+def from_grasp(
+    action: np.ndarray, state: np.ndarray, open_joints: np.ndarray, closed_joints: np.ndarray
+) -> np.ndarray:
     """Return (N, 18) commands of (N, 4) grasp actions.
 
     Args:
@@ -40,8 +42,12 @@ def from_grasp(action: np.ndarray, state: np.ndarray, open_joints: np.ndarray, c
     return np.concatenate([palm, open_joints + closing * (closed_joints - open_joints)], axis=1)
 
 
-def to_grasp(command: np.ndarray, state: np.ndarray, open_joints: np.ndarray, closed_joints: np.ndarray) -> np.ndarray:
-    """Return (N, 4) the grasp actions nearest to (N, 18) commands; the inverse of ``from_grasp``, same arguments."""
+def to_grasp(
+    command: np.ndarray, state: np.ndarray, open_joints: np.ndarray, closed_joints: np.ndarray
+) -> np.ndarray:
+    """Return (N, 4) the grasp actions nearest to (N, 18) commands; the inverse of ``from_grasp``,
+    same arguments.
+    """
     way = closed_joints - open_joints
     closing = np.clip((command[:, PALM_DOF:] - open_joints) @ way / (way @ way), 0.0, 1.0)
     return np.column_stack([command[:, :PALM_DOF] - state[:, :PALM_DOF], closing])

@@ -1,8 +1,8 @@
 """The numbers every part agrees on: clocks, units, thresholds, dimensions.
 
-SI units, z up, quaternions wxyz, angles in radians. Positions end in ``_w`` in the world frame, in which episodes are
-drawn and simulated, and in ``_h`` in the home frame, in which they are played and recorded: axes of the world, origin
-where the palm's centre waits in this episode.
+SI units, z up, quaternions wxyz, angles in radians. Positions end in ``_w`` in the world frame, in
+which episodes are drawn and simulated, and in ``_h`` in the home frame, in which they are played
+and recorded: axes of the world, origin where the palm's centre waits in this episode.
 """
 
 CONTROL_HZ = 20
@@ -24,7 +24,8 @@ UNIT_M = 0.1
 """One world unit (u) of the paper [m]."""
 
 LOCALIZATION_RADIUS_M = 0.3 * UNIT_M
-"""Palm centre to object centre, below which the target is localised [m] (Appendix "Evaluation Criteria")."""
+"""Palm centre to object centre, below which the target is localised [m] (Appendix "Evaluation
+Criteria")."""
 
 LENIENT_RADIUS_M = 1.0 * UNIT_M
 """The threshold the paper grants vision-language models [m] (Appendix "Evaluation Criteria")."""
@@ -51,13 +52,16 @@ DETECTOR_IMAGE_SIZE_PX = 96
 """Side of the images that the eye learned from, which ``environment_state=eye`` needs [px]."""
 
 PALM_AXES = ("palm_x", "palm_y", "palm_z")
-JOINT_NAMES = tuple(f"{finger}_{joint}" for finger in FINGERS for joint in ("base", "middle", "tip"))
+JOINT_NAMES = tuple(
+    f"{finger}_{joint}" for finger in FINGERS for joint in ("base", "middle", "tip")
+)
 HAND_NAMES = (*PALM_AXES, *JOINT_NAMES)
 """Degrees of freedom by name, in the order of actions, states and actuators."""
 
 FURNITURE_STREAM, SCREEN_STREAM, APPEARANCE_STREAM = 0xF0A1, 0x5C4EE7, 0xA99EA
 DISTURBANCE_STREAM, RENDER_NOISE_STREAM = 0xD157, 0x0153
-"""What begins the seeds of random numbers that an episode itself is not sampled from: it keeps them all apart."""
+"""What begins the seeds of random numbers that an episode itself is not sampled from: it keeps them
+all apart."""
 
 SEED_LIMIT = 2**40
 """Episodes are numbered, within a split and a kind of motion, by whole numbers below this."""

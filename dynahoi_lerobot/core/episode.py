@@ -13,20 +13,24 @@ class EpisodeMeta:
 
     Attributes:
         seed: the seed that determines everything drawn for the episode.
-        split: the seed stream it belongs to (``train``, ``val``, ``test``, ``ood_*``), and digits of a salt's hash.
+        split: the seed stream it belongs to (``train``, ``val``, ``test``, ``ood_*``), and digits
+            of a salt's hash.
         motion: kind of motion, one of the 22 names.
         category: its category, one of the 8 names.
         object: the object's name, one of the 11.
         parameters: the motion's parameters, JSON with SI units, world frame.
         task: the instruction given to the policy.
-        agent: who moved the hand (``intercept``, ``hold``, a policy's name; in an on-policy recording type and hash of
-            its checkpoint, ``obact@...``).
+        agent: who moved the hand (``intercept``, ``hold``, a policy's name; in an on-policy
+            recording type and hash of its checkpoint, ``obact@...``).
         capture: the capture rule, ``attach``, ``attach_lenient`` or ``contact``.
         protocol: one of ``rules.PROTOCOLS``.
-        control_class: limits of the hand and latency of its commands, ``unlimited``, ``standard`` or ``late``.
+        control_class: limits of the hand and latency of its commands, ``unlimited``, ``standard``
+            or ``late``.
         window_frames: length of the observation window [frames].
-        length_frames: L, the length of the expert's recording [frames]; a policy gets L control steps.
-        intercept_frame: frame at which the oracle intercept takes place, counted from the episode's start.
+        length_frames: L, the length of the expert's recording [frames]; a policy gets L control
+            steps.
+        intercept_frame: frame at which the oracle intercept takes place, counted from the episode's
+            start.
         attempts: how many attempts the agent needed, from 1.
         fingerprint: identifies the code and recipe that made the episode.
         benchmark: version of the benchmark that the episode was drawn and played under.
@@ -55,27 +59,30 @@ class EpisodeMeta:
 class Episode:
     """One rollout of T frames at 20 Hz; frame t holds what was seen and what was then commanded.
 
-    Home frame, SI units. ``state[t]`` is measured at time t * 0.05 s, ``given_action[t]`` is the command given then and
-    ``executed_action[t]`` what the hand executed until frame t + 1; they differ by the control class's latency. The
-    window is frames ``[0, window_frames)``; control starts at frame ``window_frames``.
+    Home frame, SI units. ``state[t]`` is measured at time t * 0.05 s, ``given_action[t]`` is the
+    command given then and ``executed_action[t]`` what the hand executed until frame t + 1; they
+    differ by the control class's latency. The window is frames ``[0, window_frames)``; control
+    starts at frame ``window_frames``.
 
-    `features.py` has shape, unit, element type and meaning of every array, and so does ``dynahoi list features``: one
-    row per frame, (T, ...), where it says nothing else.
+    `features.py` has shape, unit, element type and meaning of every array, and so does ``dynahoi
+    list features``: one row per frame, (T, ...), where it says nothing else.
 
     Attributes:
         meta: one value per episode.
-        images: (T, H, W, 3) uint8 RGB by view, ``ego`` (the hand's camera) first; empty if nothing was rendered.
-        action: in recordings for learning the teacher's goal, which may lie beyond the reach of one frame, also in the
-            window, where commands are void; elsewhere ``given_action``. (T, 4) where the control mode is ``grasp``.
-        target_path: (F, 3), F = window + L + 1, as long as an evaluation may last, so it extends beyond the end of a
-            recorded catch.
-        palm_distance: the least within the control step that ends at the frame, so that a fast target cannot pass
-            between two frames unseen.
+        images: (T, H, W, 3) uint8 RGB by view, ``ego`` (the hand's camera) first; empty if nothing
+            was rendered.
+        action: in recordings for learning the teacher's goal, which may lie beyond the reach of one
+            frame, also in the window, where commands are void; elsewhere ``given_action``. (T, 4)
+            where the control mode is ``grasp``.
+        target_path: (F, 3), F = window + L + 1, as long as an evaluation may last, so it extends
+            beyond the end of a recorded catch.
+        palm_distance: the least within the control step that ends at the frame, so that a fast
+            target cannot pass between two frames unseen.
         localized: under ``attach``, the target is also welded to the hand.
         object_primitives: (S, 11), one row per solid, see ``objects.primitives.as_table``.
         success: the capture rule's verdict on the whole episode.
-        stage: how far it got: ``missed``, ``localized``, ``captured`` (rule ``attach``) or ``missed``, ``touched``,
-            ``enclosed``, ``slipped``, ``held`` (rule ``contact``).
+        stage: how far it got: ``missed``, ``localized``, ``captured`` (rule ``attach``) or
+            ``missed``, ``touched``, ``enclosed``, ``slipped``, ``held`` (rule ``contact``).
         touch: None unless the capture rule ``uses_contact_sensors``.
         sighting: None unless the recipe's ``environment_state`` is ``eye``.
     """
@@ -140,12 +147,16 @@ class Episode:
 
     @property
     def environment_state(self) -> np.ndarray:
-        """(T, 13) float32, ``target_pose`` and ``target_velocity``, which a dataset on request shows to policies."""
+        """(T, 13) float32, ``target_pose`` and ``target_velocity``, which a dataset on request
+        shows to policies.
+        """
         return np.concatenate([self.target_pose, self.target_velocity], axis=1)
 
     @property
     def reward(self) -> np.ndarray:
-        """(T,) float32, 1 where the action leads to the first frame on which the episode is a success, else 0."""
+        """(T,) float32, 1 where the action leads to the first frame on which the episode is a
+        success, else 0.
+        """
         return np.diff(self.succeeded, prepend=False).astype(np.float32)
 
     @property
@@ -155,20 +166,27 @@ class Episode:
 
     @property
     def attempt_success(self) -> np.ndarray:
-        """(attempts,) bool, whether each attempt succeeded: all but the last, which is recorded here, have failed."""
+        """(attempts,) bool, whether each attempt succeeded: all but the last, which is recorded
+        here, have failed.
+        """
         return np.array([False] * (self.meta.attempts - 1) + [self.success])
 
     @property
     def first_localized(self) -> int | None:
-        """The first localised frame of the control phase, or None (Section 5, "task completion")."""
+        """The first localised frame of the control phase, or None (Section 5, "task
+        completion").
+        """
         hits = np.flatnonzero(self.localized[self.control])
         return int(hits[0]) + self.meta.window_frames if hits.size else None
 
 
-def joints_reached(joints: np.ndarray, open_joints: np.ndarray, reference: np.ndarray) -> np.ndarray:
+def joints_reached(
+    joints: np.ndarray, open_joints: np.ndarray, reference: np.ndarray
+) -> np.ndarray:
     """Tell which joints turned in the reference's direction by at least 0.9 of its rotation.
 
-    The pose criterion of Appendix "Evaluation Criteria". A joint that the reference leaves open counts as reached.
+    The pose criterion of Appendix "Evaluation Criteria". A joint that the reference leaves open
+    counts as reached.
 
     Args:
         joints: (..., 15) joint angles [rad].
@@ -182,8 +200,11 @@ def joints_reached(joints: np.ndarray, open_joints: np.ndarray, reference: np.nd
     return rotation * np.sign(wanted) >= GRASP_FRACTION * np.abs(wanted) - 1e-6
 
 
-def in_reference_grasp(joints: np.ndarray, open_joints: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """Tell whether all joints that the reference turns have made 0.9 to 1.2 of its rotation, which a fist has not.
+def in_reference_grasp(
+    joints: np.ndarray, open_joints: np.ndarray, reference: np.ndarray
+) -> np.ndarray:
+    """Tell whether all joints that the reference turns have made 0.9 to 1.2 of its rotation, which
+    a fist has not.
 
     The one rule of success under the capture rules that weld, and of the two-sided metrics.
 

@@ -1,16 +1,22 @@
-"""What text must not do where it goes to: one function a place. Pages and drawings are escaped by Jinja and `html`."""
+"""What text must not do where it goes to: one function a place. Pages and drawings are escaped by
+Jinja and `html`.
+"""
 
 import base64
 from typing import Any, TextIO
 
 
 def printable(text: str) -> str:
-    """Return ``text`` with whatever a terminal would obey, such as escapes and line ends, written out."""
+    """Return ``text`` with whatever a terminal would obey, such as escapes and line ends, written
+    out.
+    """
     return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
 
 
 def markdown(text: str) -> str:
-    """Return ``text`` as one that ends no code, cell, line or address, and begins no HTML or link in Markdown."""
+    """Return ``text`` as one that ends no code, cell, line or address, and begins no HTML or link
+    in Markdown.
+    """
     line = printable(" ".join(text.split()))
     return line.replace("`", "'").replace("<", "&lt;").replace("|", "\\|").replace("[", "\\[")
 
@@ -21,7 +27,8 @@ def data_url(kind: str, content: bytes) -> str:
 
 
 class Terminal:
-    """A stream that writes out what a terminal would obey, but for ends of lines, and the start with which bars begin.
+    """A stream that writes out what a terminal would obey, but for ends of lines, and the start
+    with which bars begin.
 
     Everything else is as the stream has it.
     """
@@ -32,7 +39,9 @@ class Terminal:
     def write(self, text: str) -> int:
         """Write ``text``."""
         start = text[: text.startswith("\r")]
-        lines = ("\t".join(map(printable, line.split("\t"))) for line in text[len(start) :].split("\n"))
+        lines = (
+            "\t".join(map(printable, line.split("\t"))) for line in text[len(start) :].split("\n")
+        )
         return self._stream.write(start + "\n".join(lines))
 
     def __getattr__(self, name: str) -> Any:

@@ -1,12 +1,13 @@
 """The one feature table: every array of an episode, and what it is called in each interface.
 
-Positions are in the home frame: axes of the world (z up, the open palm faces +x), origin where the palm's centre waits
-in this episode. Rotations and velocities are along the same axes.
+Positions are in the home frame: axes of the world (z up, the open palm faces +x), origin where the
+palm's centre waits in this episode. Rotations and velocities are along the same axes.
 
-From ``FEATURES`` are derived the Gymnasium spaces (`env/vector_env.py`), the features of ``--env.type=dynahoi``, what a
-rollout records (`rollout/recorder.py`), the dataset's columns and reader (`dataset/columns.py`) and the documentation
-(``dynahoi list features``). A new feature is one entry here, an attribute of that name in ``Episode`` (and in
-``Observation`` where policies may see it), and what computes it.
+From ``FEATURES`` are derived the Gymnasium spaces (`env/vector_env.py`), the features of
+``--env.type=dynahoi``, what a rollout records (`rollout/recorder.py`), the dataset's columns and
+reader (`dataset/columns.py`) and the documentation (``dynahoi list features``). A new feature is
+one entry here, an attribute of that name in ``Episode`` (and in ``Observation`` where policies may
+see it), and what computes it.
 """
 
 import math
@@ -18,14 +19,22 @@ import numpy as np
 
 from dynahoi_lerobot.core.agent import Observation
 from dynahoi_lerobot.core.control_mode import CONTROL_MODES, GRASP, JOINTS
-from dynahoi_lerobot.core.conventions import EGO_VIEW, FINGER_DOF, FINGERS, HAND_DOF, HAND_NAMES, JOINT_NAMES
+from dynahoi_lerobot.core.conventions import (
+    EGO_VIEW,
+    FINGER_DOF,
+    FINGERS,
+    HAND_DOF,
+    HAND_NAMES,
+    JOINT_NAMES,
+)
 from dynahoi_lerobot.core.rules import PHASES
 
 OBSERVATION_PREFIX = "observation."
 """LeRobot gives policies the columns of this prefix, and no others."""
 IMAGE_PREFIX = OBSERVATION_PREFIX + "images."
 EPISODE_TABLE_PREFIX = "stats/"
-"""Columns of the episode table: LeRobot reads an episode's whole row for every sample, but for this prefix."""
+"""Columns of the episode table: LeRobot reads an episode's whole row for every sample, but for this
+prefix."""
 
 
 @dataclass(frozen=True)
@@ -34,22 +43,28 @@ class Feature:
 
     Attributes:
         name: attribute of ``Episode``, and of ``Observation`` if policies may see it.
-        key: column of the dataset: of the frame table, or of the episode table if it begins with ``stats/``.
-        shape: of one frame, () for a number, which the dataset stores as (1,). What policies see has two elements
-            or more, because LeRobot cannot stream windows over one.
+        key: column of the dataset: of the frame table, or of the episode table if it begins with
+            ``stats/``.
+        shape: of one frame, () for a number, which the dataset stores as (1,). What policies see
+            has two elements or more, because LeRobot cannot stream windows over one.
         names: of the elements, in order.
         unit: of the elements.
         meaning: what it is, with its frame of reference.
         dtype: element type in ``Episode`` and in the dataset.
-        gym_key: key in the Gymnasium observation (``group/key`` if nested); None for privileged features.
+        gym_key: key in the Gymnasium observation (``group/key`` if nested); None for privileged
+            features.
         low: least value in the Gymnasium space, in ``unit``; values beyond are clipped.
         high: greatest value, likewise.
         needs_contact_sensors: whether only capture rules with ``uses_contact_sensors`` have it.
-        on_request: whether policies and datasets get it only if the recipe's ``environment_state`` asks for it.
-        constant: whether it has one value per episode; a frame table repeats that value in every row.
-        per: what its rows are if it is not constant: ``frame``, or something whose number differs between episodes, as
-            ``attempt``, ``primitive`` or ``path frame``; only the episode table can hold those.
-        derived: whether it follows from other attributes: a property of ``Episode``, which is stored but not read.
+        on_request: whether policies and datasets get it only if the recipe's ``environment_state``
+            asks for it.
+        constant: whether it has one value per episode; a frame table repeats that value in every
+            row.
+        per: what its rows are if it is not constant: ``frame``, or something whose number differs
+            between episodes, as ``attempt``, ``primitive`` or ``path frame``; only the episode
+            table can hold those.
+        derived: whether it follows from other attributes: a property of ``Episode``, which is
+            stored but not read.
     """
 
     name: str
@@ -100,7 +115,9 @@ class Feature:
 
 
 FINGERTIP_NAMES = tuple(
-    f"{finger}_{part}" for finger in FINGERS for part in ("x", "y", "z", "rotvec_x", "rotvec_y", "rotvec_z")
+    f"{finger}_{part}"
+    for finger in FINGERS
+    for part in ("x", "y", "z", "rotvec_x", "rotvec_y", "rotvec_z")
 )
 COMMAND_NAMES = tuple(f"{name}.pos" for name in HAND_NAMES)
 """LeRobot's robots and teleoperators tell positions by this suffix."""
@@ -121,179 +138,396 @@ ENVIRONMENT_STATES = {"": "", TRUTH: "environment_state", EYE: "sighting"}
 SIGHTING_AGES = (0, 2, 4, 8)
 """Ages of the positions in a sighting [frames]."""
 SIGHTING_NAMES = (
-    *(f"{axis}_{age}" for age in SIGHTING_AGES for axis in ("x", "y", "z")), "log_error_across", "log_error_along"
-)  # fmt: skip
+    *(f"{axis}_{age}" for age in SIGHTING_AGES for axis in ("x", "y", "z")),
+    "log_error_across",
+    "log_error_along",
+)
 
 _TABLE = (
     Feature(
-        "state", "observation.state", (HAND_DOF,), COMMAND_NAMES, "m, rad",
-        "palm centre position, home frame; joint angles", gym_key="agent_pos", low=-10.0, high=10.0,
+        "state",
+        "observation.state",
+        (HAND_DOF,),
+        COMMAND_NAMES,
+        "m, rad",
+        "palm centre position, home frame; joint angles",
+        gym_key="agent_pos",
+        low=-10.0,
+        high=10.0,
     ),
     Feature(
-        "fingertips", "stats/fingertips", (6 * len(FINGERS),), FINGERTIP_NAMES, "m, rad",
+        "fingertips",
+        "stats/fingertips",
+        (6 * len(FINGERS),),
+        FINGERTIP_NAMES,
+        "m, rad",
         "position, home frame, and rotation vector of each fingertip; computable from the state",
     ),
     Feature(
-        "phase", "observation.phase", (len(PHASES),), PHASES, "1",
-        "[1, 0] in the observation window, [0, 1] in the control phase", gym_key="phase", low=0.0, high=1.0,
+        "phase",
+        "observation.phase",
+        (len(PHASES),),
+        PHASES,
+        "1",
+        "[1, 0] in the observation window, [0, 1] in the control phase",
+        gym_key="phase",
+        low=0.0,
+        high=1.0,
     ),
     Feature(
-        "touch", "observation.touch", (len(FINGERS),), FINGERS, "N",
+        "touch",
+        "observation.touch",
+        (len(FINGERS),),
+        FINGERS,
+        "N",
         "force of each finger on the target, averaged over the last control step",
-        gym_key="touch", low=0.0, high=1000.0, needs_contact_sensors=True,
+        gym_key="touch",
+        low=0.0,
+        high=1000.0,
+        needs_contact_sensors=True,
     ),
     Feature(
-        "environment_state", ENVIRONMENT_STATE, (13,), (*POSE_NAMES, *TWIST_NAMES), "m, 1, m/s, rad/s",
-        "true state of the target: position, home frame, and quaternion wxyz, as stats/target.pose; linear and angular "
-        "velocity, world axes, as stats/target.velocity", gym_key="environment_state", low=-1000.0,
-        high=1000.0, on_request=True, derived=True,
+        "environment_state",
+        ENVIRONMENT_STATE,
+        (13,),
+        (*POSE_NAMES, *TWIST_NAMES),
+        "m, 1, m/s, rad/s",
+        "true state of the target: position, home frame, and quaternion wxyz, as "
+        "stats/target.pose; linear and angular "
+        "velocity, world axes, as stats/target.velocity",
+        gym_key="environment_state",
+        low=-1000.0,
+        high=1000.0,
+        on_request=True,
+        derived=True,
     ),
     Feature(
-        "sighting", ENVIRONMENT_STATE, (len(SIGHTING_NAMES),), SIGHTING_NAMES, "m, 1",
-        "where the eye, a pretrained image encoder, sees the target from the hand's camera, home frame, now and 2, 4 "
-        "and 8 frames ago; natural logarithms of its expected error now across and along the line of sight, as shares "
-        "of the distance", gym_key="environment_state", low=-1000.0, high=1000.0, on_request=True,
+        "sighting",
+        ENVIRONMENT_STATE,
+        (len(SIGHTING_NAMES),),
+        SIGHTING_NAMES,
+        "m, 1",
+        "where the eye, a pretrained image encoder, sees the target from the hand's camera, home "
+        "frame, now and 2, 4 "
+        "and 8 frames ago; natural logarithms of its expected error now across and along the "
+        "line of sight, as shares "
+        "of the distance",
+        gym_key="environment_state",
+        low=-1000.0,
+        high=1000.0,
+        on_request=True,
     ),
     Feature(
-        "action", "action", (HAND_DOF,), COMMAND_NAMES, "m, rad",
-        "goal pose: palm centre position, home frame, possibly farther than the hand can move in one frame, since the "
-        "environment clips it; joint angles for the next frame. In datasets the expert's goal, also in the observation "
-        "window, where commands are ignored", gym_key="action",
+        "action",
+        "action",
+        (HAND_DOF,),
+        COMMAND_NAMES,
+        "m, rad",
+        "goal pose: palm centre position, home frame, possibly farther than the hand can move in "
+        "one frame, since the "
+        "environment clips it; joint angles for the next frame. In datasets the expert's goal, "
+        "also in the observation "
+        "window, where commands are ignored",
+        gym_key="action",
     ),
     Feature(
-        "given_action", "stats/given_action", (HAND_DOF,), COMMAND_NAMES, "m, rad",
-        "command given in this frame by expert or policy, after disturbance, within reach when it takes effect",
+        "given_action",
+        "stats/given_action",
+        (HAND_DOF,),
+        COMMAND_NAMES,
+        "m, rad",
+        "command given in this frame by expert or policy, after disturbance, within reach when "
+        "it takes effect",
     ),
     Feature(
-        "executed_action", "stats/executed_action", (HAND_DOF,), COMMAND_NAMES, "m, rad",
-        "command that the hand executes from this frame to the next, after limits, latency and disturbance",
+        "executed_action",
+        "stats/executed_action",
+        (HAND_DOF,),
+        COMMAND_NAMES,
+        "m, rad",
+        "command that the hand executes from this frame to the next, after limits, latency and "
+        "disturbance",
     ),
     Feature(
-        "target_pose", "stats/target.pose", (7,), POSE_NAMES, "m, 1", "target position, home frame, and quaternion wxyz"
+        "target_pose",
+        "stats/target.pose",
+        (7,),
+        POSE_NAMES,
+        "m, 1",
+        "target position, home frame, and quaternion wxyz",
     ),
     Feature(
-        "target_velocity", "stats/target.velocity", (6,), TWIST_NAMES, "m/s, rad/s",
+        "target_velocity",
+        "stats/target.velocity",
+        (6,),
+        TWIST_NAMES,
+        "m/s, rad/s",
         "target linear and angular velocity, world axes",
     ),
     Feature(
-        "target_path", "stats/target_path", (3,), POSITION_NAMES, "m",
-        "undisturbed position of the target, home frame, in every frame of a full-length evaluation", per="path frame",
+        "target_path",
+        "stats/target_path",
+        (3,),
+        POSITION_NAMES,
+        "m",
+        "undisturbed position of the target, home frame, in every frame of a full-length "
+        "evaluation",
+        per="path frame",
     ),
     Feature(
-        "target_contacts", "stats/target.contacts", (len(FINGERS),), FINGERS, "1", "1 if the finger touches the target"
+        "target_contacts",
+        "stats/target.contacts",
+        (len(FINGERS),),
+        FINGERS,
+        "1",
+        "1 if the finger touches the target",
     ),
     Feature(
-        "intercept_position", "stats/intercept.position", (3,), POSITION_NAMES, "m", "oracle intercept, home frame",
+        "intercept_position",
+        "stats/intercept.position",
+        (3,),
+        POSITION_NAMES,
+        "m",
+        "oracle intercept, home frame",
         constant=True,
     ),
     Feature(
-        "intercept_time", "stats/intercept.time", (), ("time",), "s",
-        "time of the oracle intercept from the start of the episode", constant=True,
+        "intercept_time",
+        "stats/intercept.time",
+        (),
+        ("time",),
+        "s",
+        "time of the oracle intercept from the start of the episode",
+        constant=True,
     ),
     Feature(
-        "localized", "stats/localized", (), ("localized",), "1", "the target is or was localised", dtype="bool"
+        "localized",
+        "stats/localized",
+        (),
+        ("localized",),
+        "1",
+        "the target is or was localised",
+        dtype="bool",
     ),
     Feature(
-        "captured", "stats/captured", (), ("captured",), "1", "the target is captured by the capture rule", dtype="bool"
+        "captured",
+        "stats/captured",
+        (),
+        ("captured",),
+        "1",
+        "the target is captured by the capture rule",
+        dtype="bool",
     ),
     Feature(
-        "reward", "next.reward", (), ("reward",), "1",
-        "1 if the action led to the first successful frame, else 0", derived=True,
+        "reward",
+        "next.reward",
+        (),
+        ("reward",),
+        "1",
+        "1 if the action led to the first successful frame, else 0",
+        derived=True,
     ),
     Feature(
-        "done", "next.done", (), ("done",), "1", "last frame of the recording", dtype="bool", derived=True
+        "done",
+        "next.done",
+        (),
+        ("done",),
+        "1",
+        "last frame of the recording",
+        dtype="bool",
+        derived=True,
     ),
     Feature(
-        "succeeded", "next.success", (), ("success",), "1",
-        "the episode is a success by the frame the action led to", dtype="bool",
+        "succeeded",
+        "next.success",
+        (),
+        ("success",),
+        "1",
+        "the episode is a success by the frame the action led to",
+        dtype="bool",
     ),
     Feature(
-        "palm_distance", "stats/palm_distance", (), ("distance",), "m",
+        "palm_distance",
+        "stats/palm_distance",
+        (),
+        ("distance",),
+        "m",
         "least distance of palm centre and target centre in the last control step",
     ),
     Feature(
-        "fingertip_distance", "stats/fingertip_distance", (), ("distance",), "m",
+        "fingertip_distance",
+        "stats/fingertip_distance",
+        (),
+        ("distance",),
+        "m",
         "least distance of a fingertip to the target's surface, 0 inside",
     ),
     Feature(
-        "home_position", "stats/home_position", (3,), POSITION_NAMES, "m",
-        "origin of the home frame, world; the floor is at z = 0", constant=True,
-    ),
-    Feature(
-        "open_joints", "stats/open_joints", (FINGER_DOF,), JOINT_NAMES, "rad", "joint angles of the open hand",
+        "home_position",
+        "stats/home_position",
+        (3,),
+        POSITION_NAMES,
+        "m",
+        "origin of the home frame, world; the floor is at z = 0",
         constant=True,
     ),
     Feature(
-        "reference_joints", "stats/reference_joints", (FINGER_DOF,), JOINT_NAMES, "rad",
-        "joint angles of the object's reference grasp", constant=True,
-    ),
-    Feature(
-        "object_primitives", "stats/object_primitives", (len(PRIMITIVE_NAMES),), PRIMITIVE_NAMES, "1, m",
-        "the object's solids: MuJoCo's geom type and half-sizes; position and quaternion wxyz in the object's frame, "
-        "whose origin is the centre of mass", per="primitive",
-    ),
-    Feature(
-        "object_size", "stats/object_size", (3,), POSITION_NAMES, "m", "extent of the object along its own axes",
-        constant=True,
-    ),
-    Feature("object_mass", "stats/object_mass", (), ("mass",), "kg", "mass of the object", constant=True),
-    Feature(
-        "object_inertia", "stats/object_inertia", (3,), POSITION_NAMES, "kg m^2",
-        "moments of inertia of the object about its own axes", constant=True,
-    ),
-    Feature(
-        "object_friction", "stats/object_friction", (2,), ("hand", "surface"), "1",
-        "sliding friction coefficients of the object against the hand and against the roughest surface it meets",
+        "open_joints",
+        "stats/open_joints",
+        (FINGER_DOF,),
+        JOINT_NAMES,
+        "rad",
+        "joint angles of the open hand",
         constant=True,
     ),
     Feature(
-        "object_restitution", "stats/object_restitution", (), ("restitution",), "1",
-        "ratio of rebound to impact speed in its motion; 0 without impacts", constant=True,
+        "reference_joints",
+        "stats/reference_joints",
+        (FINGER_DOF,),
+        JOINT_NAMES,
+        "rad",
+        "joint angles of the object's reference grasp",
+        constant=True,
     ),
     Feature(
-        "ego_camera", "stats/ego_camera", (7,), POSE_NAMES, "m, 1",
+        "object_primitives",
+        "stats/object_primitives",
+        (len(PRIMITIVE_NAMES),),
+        PRIMITIVE_NAMES,
+        "1, m",
+        "the object's solids: MuJoCo's geom type and half-sizes; position and quaternion wxyz in "
+        "the object's frame, "
+        "whose origin is the centre of mass",
+        per="primitive",
+    ),
+    Feature(
+        "object_size",
+        "stats/object_size",
+        (3,),
+        POSITION_NAMES,
+        "m",
+        "extent of the object along its own axes",
+        constant=True,
+    ),
+    Feature(
+        "object_mass", "stats/object_mass", (), ("mass",), "kg", "mass of the object", constant=True
+    ),
+    Feature(
+        "object_inertia",
+        "stats/object_inertia",
+        (3,),
+        POSITION_NAMES,
+        "kg m^2",
+        "moments of inertia of the object about its own axes",
+        constant=True,
+    ),
+    Feature(
+        "object_friction",
+        "stats/object_friction",
+        (2,),
+        ("hand", "surface"),
+        "1",
+        "sliding friction coefficients of the object against the hand and against the roughest "
+        "surface it meets",
+        constant=True,
+    ),
+    Feature(
+        "object_restitution",
+        "stats/object_restitution",
+        (),
+        ("restitution",),
+        "1",
+        "ratio of rebound to impact speed in its motion; 0 without impacts",
+        constant=True,
+    ),
+    Feature(
+        "ego_camera",
+        "stats/ego_camera",
+        (7,),
+        POSE_NAMES,
+        "m, 1",
         "pose of the hand's camera relative to the palm centre; it looks along -z, y is up",
         constant=True,
     ),
     Feature(
-        "side_camera", "stats/side_camera", (7,), POSE_NAMES, "m, 1",
-        "pose of the side camera, home frame, same convention", constant=True,
+        "side_camera",
+        "stats/side_camera",
+        (7,),
+        POSE_NAMES,
+        "m, 1",
+        "pose of the side camera, home frame, same convention",
+        constant=True,
     ),
     Feature(
-        "ego_intrinsics", "stats/ego_intrinsics", (4,), INTRINSICS_NAMES, "px",
-        "focal lengths and principal point of the hand's camera", constant=True,
+        "ego_intrinsics",
+        "stats/ego_intrinsics",
+        (4,),
+        INTRINSICS_NAMES,
+        "px",
+        "focal lengths and principal point of the hand's camera",
+        constant=True,
     ),
     Feature(
-        "side_intrinsics", "stats/side_intrinsics", (4,), INTRINSICS_NAMES, "px",
-        "focal lengths and principal point of the side camera", constant=True,
+        "side_intrinsics",
+        "stats/side_intrinsics",
+        (4,),
+        INTRINSICS_NAMES,
+        "px",
+        "focal lengths and principal point of the side camera",
+        constant=True,
     ),
     Feature(
-        "hand_limits", "stats/hand_limits", (3,), ("palm_speed", "joint_speed", "latency"), "m/s, rad/s, ms",
+        "hand_limits",
+        "stats/hand_limits",
+        (3,),
+        ("palm_speed", "joint_speed", "latency"),
+        "m/s, rad/s, ms",
         "maximum speed of the palm (under contact, per axis) and of a joint; command latency",
         constant=True,
     ),
     Feature(
-        "first_plan", "stats/first_plan", (2,), ("speed", "lead_time"), "m/s, s",
-        "the expert's plan at control start: mean palm speed to the meeting with the target, and time to it; 0 for "
-        "actors without a plan", constant=True,
+        "first_plan",
+        "stats/first_plan",
+        (2,),
+        ("speed", "lead_time"),
+        "m/s, s",
+        "the expert's plan at control start: mean palm speed to the meeting with the target, and "
+        "time to it; 0 for "
+        "actors without a plan",
+        constant=True,
     ),
     Feature(
-        "attempt_success", "stats/attempt_success", (), ("success",), "1",
-        "whether each attempt at the episode succeeded; the last one is recorded", dtype="bool", per="attempt",
+        "attempt_success",
+        "stats/attempt_success",
+        (),
+        ("success",),
+        "1",
+        "whether each attempt at the episode succeeded; the last one is recorded",
+        dtype="bool",
+        per="attempt",
         derived=True,
     ),
-)  # fmt: skip
+)
 
 FEATURES = {feature.name: feature for feature in _TABLE}
-"""By attribute name, in the dataset's order. Images depend on resolution and views: see ``image_feature``."""
+"""By attribute name, in the dataset's order. Images depend on resolution and views: see
+``image_feature``."""
 
 
 def image_feature(view: str, image_size: int) -> Feature:
     """Return the feature of a view's images: square RGB, height x width x channel, 0-255."""
     return Feature(
-        "images", IMAGE_PREFIX + view, (image_size, image_size, 3), ("height", "width", "channels"), "1",
-        f"RGB image of view {view}", dtype="uint8", gym_key=f"{PIXELS}/{view}", low=0, high=255,
-    )  # fmt: skip
+        "images",
+        IMAGE_PREFIX + view,
+        (image_size, image_size, 3),
+        ("height", "width", "channels"),
+        "1",
+        f"RGB image of view {view}",
+        dtype="uint8",
+        gym_key=f"{PIXELS}/{view}",
+        low=0,
+        high=255,
+    )
 
 
 def action_feature(control_mode: str) -> Feature:
@@ -301,14 +535,18 @@ def action_feature(control_mode: str) -> Feature:
     feature = FEATURES["action"]
     if control_mode == JOINTS:
         return feature
-    meaning = "displacement from the palm's current position to the goal of control mode joints, along the axes of the "
+    meaning = (
+        "displacement from the palm's current position to the goal of control mode joints, "
+        "along the axes of the "
+    )
     meaning += "home frame; closure of the hand, 0 (open) to 1"
     names = CONTROL_MODES[control_mode]
     return replace(feature, shape=(len(names),), names=names, unit="m, 1", meaning=meaning)
 
 
 TOLD_APART = (*FEATURES.values(), action_feature(GRASP))
-"""Every feature but images. Two share the key ``action``, two ``ENVIRONMENT_STATE``: their elements' names differ."""
+"""Every feature but images. Two share the key ``action``, two ``ENVIRONMENT_STATE``: their
+elements' names differ."""
 
 
 def frame_features(
@@ -330,23 +568,37 @@ def frame_features(
     """
     images = tuple(image_feature(view, image_size) for view in (EGO_VIEW, *views) if image_size)
     sensed = (f for f in FEATURES.values() if contact_sensors or not f.needs_contact_sensors)
-    asked = (f for f in sensed if not f.on_request or f.name == ENVIRONMENT_STATES[environment_state])
+    asked = (
+        f for f in sensed if not f.on_request or f.name == ENVIRONMENT_STATES[environment_state]
+    )
     stored = (feature for feature in asked if not feature.in_episode_table)
-    return (*images, *(action_feature(control_mode) if feature.name == "action" else feature for feature in stored))
+    return (
+        *images,
+        *(
+            action_feature(control_mode) if feature.name == "action" else feature
+            for feature in stored
+        ),
+    )
 
 
 def environment_state_of(shape: Sequence[int]) -> str:
-    """Return the recipe's ``environment_state`` under which policies read an ``ENVIRONMENT_STATE`` of a shape."""
+    """Return the recipe's ``environment_state`` under which policies read an ``ENVIRONMENT_STATE``
+    of a shape.
+    """
     return EYE if tuple(shape) == FEATURES[ENVIRONMENT_STATES[EYE]].shape else TRUTH
 
 
 def episode_features() -> tuple[Feature, ...]:
-    """Return the columns of the episode table, which LeRobot does not load: metrics need them, policies do not."""
+    """Return the columns of the episode table, which LeRobot does not load: metrics need them,
+    policies do not.
+    """
     return tuple(feature for feature in FEATURES.values() if feature.in_episode_table)
 
 
 def as_gym(observation: Observation) -> dict[str, Any]:
-    """Return an Observation under the keys of the Gymnasium space, (N, ...) each, clipped to its bounds."""
+    """Return an Observation under the keys of the Gymnasium space, (N, ...) each, clipped to its
+    bounds.
+    """
     entries: dict[str, Any] = {PIXELS: observation.images} if observation.images else {}
     for feature in FEATURES.values():
         if feature.observed and feature.gym_key is not None:

@@ -18,11 +18,13 @@ def check_output(path: Path) -> None:
 
 
 def write_atomically(writers: Mapping[Path, Callable[[Path], object]]) -> None:
-    """Write every file under a temporary name, and rename them only when all are complete and on the disk.
+    """Write every file under a temporary name, and rename them only when all are complete and on
+    the disk.
 
     Args:
-        writers: for each path, a function that writes the file to the path it is given. The files are renamed in this
-            order, so the presence of the last implies that of the others. Folders are made.
+        writers: for each path, a function that writes the file to the path it is given. The files
+            are renamed in this order, so the presence of the last implies that of the others.
+            Folders are made.
     """
     drafts = {path: path.with_name(f".{path.name}.{os.getpid()}.part") for path in writers}
     try:
@@ -53,15 +55,17 @@ def _held(folder: Path) -> Iterator[None]:
 def new_folder(target: Path) -> Iterator[Path]:
     """Give the path of a folder to be made, which is renamed to ``target`` at the end.
 
-    Whatever happens before the end, ``target`` does not exist. If somebody has made ``target`` meanwhile, theirs stays.
-    What a killed process has left of the same folder is removed.
+    Whatever happens before the end, ``target`` does not exist. If somebody has made ``target``
+    meanwhile, theirs stays. What a killed process has left of the same folder is removed.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
     for left in target.parent.glob(f".{glob.escape(target.name)}.*.tmp"):
         with suppress(OSError), _held(left):
             shutil.rmtree(left)
     with (
-        tempfile.TemporaryDirectory(".tmp", f".{target.name}.", target.parent, ignore_cleanup_errors=True) as scratch,
+        tempfile.TemporaryDirectory(
+            ".tmp", f".{target.name}.", target.parent, ignore_cleanup_errors=True
+        ) as scratch,
         _held(Path(scratch)),
     ):
         yield (folder := Path(scratch) / target.name)

@@ -1,8 +1,9 @@
-"""Rotations of many worlds at once; products, lengths and functions whose last bit does not depend on the processor.
+"""Rotations of many worlds at once; products, lengths and functions whose last bit does not depend
+on the processor.
 
-BLAS, NumPy (for AVX-512) and the C library (for FMA) have variants of their functions, which round differently from one
-processor to the next. What decides an episode is computed by NumPy's plain loops and by the functions here; those of
-angles take long doubles, of which there is one variant.
+BLAS, NumPy (for AVX-512) and the C library (for FMA) have variants of their functions, which round
+differently from one processor to the next. What decides an episode is computed by NumPy's plain
+loops and by the functions here; those of angles take long doubles, of which there is one variant.
 """
 
 from collections.abc import Callable
@@ -12,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 TOLERANCE = 1e-5
-"""Greatest difference of a number [its unit] of an episode that another processor plays; on one machine it is 0."""
+"""Greatest difference of a number [its unit] of an episode that another processor plays; on one
+machine it is 0."""
 
 
 def quat_to_matrix(quat: np.ndarray) -> np.ndarray:
@@ -29,7 +31,8 @@ def quat_to_matrix(quat: np.ndarray) -> np.ndarray:
 def matrix_to_quat(matrix: np.ndarray) -> np.ndarray:
     """Return (..., 4) unit quaternions wxyz, w >= 0, of (..., 3, 3) rotation matrices.
 
-    Of the four equivalent formulas, the one that divides by the largest component is taken for each.
+    Of the four equivalent formulas, the one that divides by the largest component is taken for
+    each.
     """
     m = matrix
     xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
@@ -59,17 +62,23 @@ def matrix_to_rotvec(matrix: np.ndarray) -> np.ndarray:
 
 
 def product(rows: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Return ``rows @ matrix``, (..., k) times (k, m) or (k,), the same to the last bit on every x86-64 processor."""
+    """Return ``rows @ matrix``, (..., k) times (k, m) or (k,), the same to the last bit on every
+    x86-64 processor.
+    """
     return np.einsum("...k,km->...m" if np.ndim(matrix) == 2 else "...k,k->...", rows, matrix)
 
 
 def norm(vector: ArrayLike) -> float:
-    """Return the length of a vector (k,), which ``np.linalg.norm`` leaves to BLAS unless it is told an axis."""
+    """Return the length of a vector (k,), which ``np.linalg.norm`` leaves to BLAS unless it is told
+    an axis.
+    """
     return float(np.linalg.norm(vector, axis=-1))
 
 
 def segment_distance(points: np.ndarray, path: np.ndarray) -> np.ndarray:
-    """Return (K, F - 1) the least distance of points (K, 3) to each straight piece of a path (F, 3)."""
+    """Return (K, F - 1) the least distance of points (K, 3) to each straight piece of a path (F,
+    3).
+    """
     steps = np.diff(path, axis=0)  # (F - 1, 3)
     from_start = points[:, None] - path[:-1]  # (K, F - 1, 3)
     share = np.einsum("kfd,fd->kf", from_start, steps) / np.maximum((steps**2).sum(axis=1), 1e-12)
@@ -92,4 +101,6 @@ def _of_long_doubles(function: np.ufunc) -> Callable[..., Any]:
 
 
 sin, cos, tan = (_of_long_doubles(function) for function in (np.sin, np.cos, np.tan))
-arcsin, arctan2, cbrt = (_of_long_doubles(function) for function in (np.arcsin, np.arctan2, np.cbrt))
+arcsin, arctan2, cbrt = (
+    _of_long_doubles(function) for function in (np.arcsin, np.arctan2, np.cbrt)
+)

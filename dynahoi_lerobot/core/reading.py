@@ -1,4 +1,5 @@
-"""Reading what others may have written: how large a file is, and grows when it is decoded, is known before it is.
+"""Reading what others may have written: how large a file is, and grows when it is decoded, is known
+before it is.
 
 Everything here raises `ReadError` alone, in one sentence with the path and the reason.
 """
@@ -40,9 +41,11 @@ DEPTH, VALUES, INTEGER = 64, 3 * 10**6, 2**64
 TABLE_BYTES, ARRAY_BYTES = GIB, GIB // 4
 """Largest table, and arrays, in memory; arrays are copied when they are decoded and checked."""
 UNQUESTIONED, GROWTH = 32 * MIB, 64
-"""Arrays and tables may grow to this size [bytes], and beyond it by this factor of that of their file."""
+"""Arrays and tables may grow to this size [bytes], and beyond it by this factor of that of their
+file."""
 ROWS_AT_ONCE, ROWS_BYTES = 64, 32 * MIB
-"""Rows that are made Python's own objects together, and their size before that: it grows eightfold."""
+"""Rows that are made Python's own objects together, and their size before that: it grows
+eightfold."""
 
 
 class ReadError(ValueError):
@@ -51,44 +54,69 @@ class ReadError(ValueError):
 
 @contextmanager
 def reading(path: Path, *others: type[Exception]) -> Iterator[None]:
-    """Raise whatever a reader raises as a `ReadError` that names the file, or one in the folder, but for ``others``."""
+    """Raise whatever a reader raises as a `ReadError` that names the file, or one in the folder,
+    but for ``others``.
+    """
     try:
         yield
     except (ReadError, *others):
         raise
-    except Exception as error:  # what a damaged file makes a reader raise differs from library to library
+    except (
+        Exception
+    ) as error:  # what a damaged file makes a reader raise differs from library to library
         told = getattr(error, "strerror", None) or str(error) or type(error).__name__
-        named = getattr(error, "filename", None)  # a number where the file was open, or PyAV's function
+        named = getattr(
+            error, "filename", None
+        )  # a number where the file was open, or PyAV's function
         file = named if isinstance(named, str) and os.sep in named else path
         raise ReadError(f"{file} cannot be read: {' '.join(told.split())[:300]}") from error
 
 
 @contextmanager
 def opened(path: Path, most: int = FILE_BYTES) -> Iterator[io.BufferedReader]:
-    """Open a regular file of at most ``most`` bytes, or what a link to one leads to; nothing else is waited for."""
-    with reading(path), open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
+    """Open a regular file of at most ``most`` bytes, or what a link to one leads to; nothing else
+    is waited for.
+    """
+    with (
+        reading(path),
+        open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file,
+    ):
         status = os.fstat(file.fileno())
         if not stat.S_ISREG(status.st_mode):
             raise ReadError(f"{path} cannot be read: it is no regular file")
         if status.st_size > most:
-            raise ReadError(f"{path} cannot be read: it has {status.st_size} bytes, more than {most}")
+            raise ReadError(
+                f"{path} cannot be read: it has {status.st_size} bytes, more than {most}"
+            )
         yield file
 
 
 def regular(path: Path, most: int = FILE_BYTES) -> Path:
-    """Return where a file that ``opened`` opens lies, without links, for a library that opens it itself."""
+    """Return where a file that ``opened`` opens lies, without links, for a library that opens it
+    itself.
+    """
     with opened(path, most):
         return Path(os.path.realpath(path))
 
 
 def inside(folder: Path, name: object) -> Path:
-    """Return the path of a file that a file in ``folder`` names; it must lie there, or in the Hub's cache of it."""
+    """Return the path of a file that a file in ``folder`` names; it must lie there, or in the Hub's
+    cache of it.
+    """
     with reading(folder):
         root = Path(os.path.realpath(folder))
         blobs = [parent.parent / "blobs" for parent in root.parents if parent.name == "snapshots"]
-        path = Path(os.path.realpath(root / name)) if isinstance(name, str) and "\0" not in name else root
+        path = (
+            Path(os.path.realpath(root / name))
+            if isinstance(name, str) and "\0" not in name
+            else root
+        )
         lexical = Path(os.path.normpath(root / str(name)))
-        if path == root or not lexical.is_relative_to(root) or not any(map(path.is_relative_to, [root, *blobs])):
+        if (
+            path == root
+            or not lexical.is_relative_to(root)
+            or not any(map(path.is_relative_to, [root, *blobs]))
+        ):
             raise ReadError(f"{folder} names {name!r}, which is not inside it")
         return lexical
 
@@ -111,7 +139,7 @@ def sha256(path: Path, most: int = WEIGHTS_BYTES) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-# -- JSON and YAML ----------------------------------------------------------------------------------------------------
+# -- JSON and YAML ---------------------------------------------------------------------------------
 
 
 def read_json(path: Path) -> Any:
@@ -124,7 +152,9 @@ def read_json(path: Path) -> Any:
 
 
 def read_object(path: Path, types: Mapping[str, Any] = {}) -> dict[str, Any]:
-    """Return the object that a JSON file holds, in which the keys of ``types`` have values of these types."""
+    """Return the object that a JSON file holds, in which the keys of ``types`` have values of these
+    types.
+    """
     with reading(path):
         if not isinstance(content := read_json(path), dict):
             raise TypeError(f"it must be a JSON object, not a {type(content).__name__}")
@@ -144,10 +174,11 @@ def require(content: Mapping[str, Any], types: Mapping[str, Any]) -> None:
 
 
 def fits(value: Any, hint: Any) -> bool:
-    """Tell whether a value of JSON is of a type such as ``dict[str, list[int]] | None``; a bool is no number.
+    """Tell whether a value of JSON is of a type such as ``dict[str, list[int]] | None``; a bool is
+    no number.
 
-    An object is of the type of a dataclass if the values of its fields are of theirs, and a name of that of an
-    enumeration if it has the name. Whatever is no type but a hint fits.
+    An object is of the type of a dataclass if the values of its fields are of theirs, and a name of
+    that of an enumeration if it has the name. Whatever is no type but a hint fits.
     """
     origin, inner = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):
@@ -160,7 +191,9 @@ def fits(value: Any, hint: Any) -> bool:
         return items is not None and len(items) == len(wanted) and all(map(fits, items, wanted))
     if is_dataclass(hint):
         hints = get_type_hints(hint)
-        needed = {entry.name for entry in fields(hint) if entry.default is entry.default_factory}  # both MISSING
+        needed = {
+            entry.name for entry in fields(hint) if entry.default is entry.default_factory
+        }  # both MISSING
         known = isinstance(value, dict) and needed <= value.keys()
         return known and all(fits(item, hints.get(name, Any)) for name, item in value.items())
     if isinstance(hint, type) and issubclass(hint, Enum):
@@ -171,7 +204,8 @@ def fits(value: Any, hint: Any) -> bool:
 
 
 def decoded[T](kind: type[T], values: Any) -> T:
-    """Return a dataclass of values of JSON or YAML; of other types than its fields', draccus would make text of them.
+    """Return a dataclass of values of JSON or YAML; of other types than its fields', draccus would
+    make text of them.
 
     Raises:
         TypeError, ValueError: naming the field, or what the dataclass says of its value.
@@ -193,7 +227,9 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     held = dict(pairs)
     if len(held) < len(pairs):
         keys = [key for key, _ in pairs]
-        raise ValueError(f"key {next(key for key in keys if keys.count(key) > 1)!r:.80} appears again")
+        raise ValueError(
+            f"key {next(key for key in keys if keys.count(key) > 1)!r:.80} appears again"
+        )
     return held
 
 
@@ -207,7 +243,11 @@ def _plain(content: Any) -> Any:
             elif isinstance(value, int | float) and not -INTEGER < value < INTEGER:
                 raise ValueError(f"it holds the number {str(value)[:40]}")
         keys = [key for item in level if isinstance(item, dict) for key in item]
-        inner = (item.values() if isinstance(item, dict) else item for item in level if isinstance(item, dict | list))
+        inner = (
+            item.values() if isinstance(item, dict) else item
+            for item in level
+            if isinstance(item, dict | list)
+        )
         level = keys + [value for part in inner for value in part]
         values += len(level)
         if not level:
@@ -224,14 +264,18 @@ class _Loader(yaml.SafeLoader):
         seen: set[str] = set()
         for key, _ in node.value:
             if str(key.value) in seen:
-                raise yaml.YAMLError(f"key {key.value!r} appears again in line {key.start_mark.line + 1}")
+                raise yaml.YAMLError(
+                    f"key {key.value!r} appears again in line {key.start_mark.line + 1}"
+                )
             seen.add(str(key.value))
         return super().construct_mapping(node, deep)
 
 
 # YAML 1.1 takes 2e-3, which has no dot, for a text
 _Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
+    list("-+.0123456789"),
 )
 
 
@@ -249,7 +293,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
         return values or {}
 
 
-# -- arrays and tables ------------------------------------------------------------------------------------------------
+# -- arrays and tables -----------------------------------------------------------------------------
 
 
 def _refuse_growth(path: Path, size: int, most: int) -> None:
@@ -262,12 +306,16 @@ def _refuse_growth(path: Path, size: int, most: int) -> None:
 def read_arrays(path: Path, names: Collection[str]) -> dict[str, np.ndarray]:
     """Return some arrays of numbers of an npz file."""
     with opened(path) as file, zipfile.ZipFile(file) as archive:
-        _refuse_growth(path, sum(archive.getinfo(f"{name}.npy").file_size for name in names), ARRAY_BYTES)
+        _refuse_growth(
+            path, sum(archive.getinfo(f"{name}.npy").file_size for name in names), ARRAY_BYTES
+        )
         return {name: _array(archive.read(f"{name}.npy")) for name in names}
 
 
 def regular_zip(path: Path, most: int) -> Path:
-    """Return where a zip that takes at most ``most`` bytes in memory lies, for a library that opens it itself."""
+    """Return where a zip that takes at most ``most`` bytes in memory lies, for a library that opens
+    it itself.
+    """
     with opened(path, most) as file, zipfile.ZipFile(file) as archive:
         _refuse_growth(path, sum(entry.file_size for entry in archive.infolist()), most)
     return regular(path, most)
@@ -280,34 +328,46 @@ def _array(content: bytes) -> np.ndarray:
         raise ValueError(f"its arrays are of version {version} of the format, which must be (1, 0)")
     shape, _, kind = np.lib.format.read_array_header_1_0(file)
     if kind.kind not in "biuf" or math.prod(shape) * kind.itemsize != len(content) - file.tell():
-        raise ValueError(f"an array of shape {shape} and type {kind} does not have {len(content)} bytes")
+        raise ValueError(
+            f"an array of shape {shape} and type {kind} does not have {len(content)} bytes"
+        )
     file.seek(0)
     return np.lib.format.read_array(file, allow_pickle=False)
 
 
 def tensor_types(path: Path) -> dict[str, tuple[str, tuple[int, ...]]]:
-    """Return type, such as ``F32``, and shape of every tensor of a safetensors file by name, from its header."""
+    """Return type, such as ``F32``, and shape of every tensor of a safetensors file by name, from
+    its header.
+    """
     from safetensors import safe_open
 
     with reading(path), safe_open(regular(path, WEIGHTS_BYTES), "numpy") as tensors:
         slices = {name: tensors.get_slice(name) for name in tensors.keys()}  # noqa: SIM118 - no mapping
-        return {name: (tensor.get_dtype(), tuple(tensor.get_shape())) for name, tensor in slices.items()}
+        return {
+            name: (tensor.get_dtype(), tuple(tensor.get_shape())) for name, tensor in slices.items()
+        }
 
 
 def open_table(path: Path, columns: Collection[str] | None = None) -> pq.ParquetFile:
-    """Open a Parquet file of which some columns, all by default, take at most ``TABLE_BYTES`` when they are decoded."""
+    """Open a Parquet file of which some columns, all by default, take at most ``TABLE_BYTES`` when
+    they are decoded.
+    """
     import pyarrow.parquet as pq
 
     with reading(path):
         file = pq.ParquetFile(regular(path))
         if len(names := sorted(file.schema_arrow.names)) > len({*names}):
-            raise ValueError(f"its column {next(a for a, b in pairwise(names) if a == b)} appears again")
+            raise ValueError(
+                f"its column {next(a for a, b in pairwise(names) if a == b)} appears again"
+            )
         _refuse_growth(path, _decoded_bytes(file, path, columns), TABLE_BYTES)
         return file
 
 
 def read_table(path: Path, columns: Collection[str] | None = None, filters: Any = None) -> pa.Table:
-    """Return a Parquet file, or of it some columns, or the rows that ``filters`` of pyarrow let through."""
+    """Return a Parquet file, or of it some columns, or the rows that ``filters`` of pyarrow let
+    through.
+    """
     import pyarrow.parquet as pq
 
     with reading(path):
@@ -322,9 +382,13 @@ def read_table(path: Path, columns: Collection[str] | None = None, filters: Any 
 def read_rows(path: Path, columns: Collection[str] | None = None) -> Iterator[dict[str, Any]]:
     """Yield the rows of a Parquet file, or some columns of them; a few at a time are in memory."""
     with reading(path), open_table(path, columns) as file:
-        for batch in file.iter_batches(ROWS_AT_ONCE, columns=None if columns is None else list(columns)):
+        for batch in file.iter_batches(
+            ROWS_AT_ONCE, columns=None if columns is None else list(columns)
+        ):
             if batch.nbytes > ROWS_BYTES:
-                raise ReadError(f"{path} cannot be read: {len(batch)} of its rows have {batch.nbytes} bytes")
+                raise ReadError(
+                    f"{path} cannot be read: {len(batch)} of its rows have {batch.nbytes} bytes"
+                )
             yield from batch.to_pylist()
 
 
@@ -335,10 +399,14 @@ _PLACE = 8
 
 
 def _decoded_bytes(file: pq.ParquetFile, path: Path, columns: Collection[str] | None) -> int:
-    """Return how large a file grows, from its footer; where that leaves it open, from its dictionaries of texts."""
+    """Return how large a file grows, from its footer; where that leaves it open, from its
+    dictionaries of texts.
+    """
     import pyarrow.parquet as pq
 
-    schema = pq.ParquetSchema(file.metadata)  # `file.schema` would keep the metadata of 10,000 row groups until gc runs
+    schema = pq.ParquetSchema(
+        file.metadata
+    )  # `file.schema` would keep the metadata of 10,000 row groups until gc runs
     leaves = [schema.column(number) for number in range(len(schema))]
     fields = [field for field in file.schema_arrow for _ in range(_leaves(field.type))]
     total, texts = file.metadata.num_rows * _PLACE, None
@@ -350,13 +418,30 @@ def _decoded_bytes(file: pq.ParquetFile, path: Path, columns: Collection[str] | 
             chunk = chunks.column(number)
             values = _places(field.type, chunks.num_rows, chunk.num_values)
             width = _WIDTHS.get(chunk.physical_type, max(leaf.length, 0) + _PLACE)
-            total += max(values * (width + _PLACE * bool(leaf.max_repetition_level)), chunk.total_uncompressed_size)
+            total += max(
+                values * (width + _PLACE * bool(leaf.max_repetition_level)),
+                chunk.total_uncompressed_size,
+            )
             if "DELTA_BYTE_ARRAY" in chunk.encodings:
-                raise ValueError(f"its column {field.name} is stored as DELTA_BYTE_ARRAY, whose size nothing tells")
+                raise ValueError(
+                    f"its column {field.name} is stored as DELTA_BYTE_ARRAY, whose size nothing "
+                    f"tells"
+                )
             longest = values * chunk.total_uncompressed_size
-            if chunk.physical_type == "BYTE_ARRAY" and longest > TABLE_BYTES and _DICTIONARIES & {*chunk.encodings}:
-                texts = texts or pq.ParquetFile(regular(path), read_dictionary=[leaf.path for leaf in leaves])
-                total += sum(map(_text_bytes, texts.read_row_group(group, columns=[leaf.path]).column(0).chunks))
+            if (
+                chunk.physical_type == "BYTE_ARRAY"
+                and longest > TABLE_BYTES
+                and _DICTIONARIES & {*chunk.encodings}
+            ):
+                texts = texts or pq.ParquetFile(
+                    regular(path), read_dictionary=[leaf.path for leaf in leaves]
+                )
+                total += sum(
+                    map(
+                        _text_bytes,
+                        texts.read_row_group(group, columns=[leaf.path]).column(0).chunks,
+                    )
+                )
             if total > TABLE_BYTES:
                 return total
     return total
@@ -369,7 +454,9 @@ def _leaves(kind: pa.DataType) -> int:
 
 
 def _places(kind: pa.DataType, rows: int, values: int) -> int:
-    """Return how many values a column of a type may have place for: a list of a fixed size takes it even if null."""
+    """Return how many values a column of a type may have place for: a list of a fixed size takes it
+    even if null.
+    """
     import pyarrow as pa
 
     kind = kind.storage_type if hasattr(kind, "storage_type") else kind
@@ -377,7 +464,9 @@ def _places(kind: pa.DataType, rows: int, values: int) -> int:
         rows *= kind.list_size
     elif pa.types.is_nested(kind) and not pa.types.is_struct(kind):
         rows = values
-    return max([rows, values, *(_places(kind.field(i).type, rows, values) for i in range(kind.num_fields))])
+    return max(
+        [rows, values, *(_places(kind.field(i).type, rows, values) for i in range(kind.num_fields))]
+    )
 
 
 def _text_bytes(array: pa.Array) -> int:
@@ -386,5 +475,8 @@ def _text_bytes(array: pa.Array) -> int:
 
     if not pa.types.is_dictionary(array.type):
         return _text_bytes(array.field(0) if pa.types.is_struct(array.type) else array.flatten())
-    lengths = np.array([len(text or b"") for text in array.dictionary.cast(pa.large_binary()).to_pylist()], np.int64)
+    lengths = np.array(
+        [len(text or b"") for text in array.dictionary.cast(pa.large_binary()).to_pylist()],
+        np.int64,
+    )
     return int(lengths[array.indices.drop_null().to_numpy(zero_copy_only=False)].sum())

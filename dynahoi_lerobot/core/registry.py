@@ -1,7 +1,7 @@
 """One registry for every family that a user may add to: motions, objects, metrics, renderers.
 
-Other distributions may register as well, by *plugins*: modules that entry points name. In the ``pyproject.toml`` of
-such a distribution::
+Other distributions may register as well, by *plugins*: modules that entry points name. In the
+``pyproject.toml`` of such a distribution::
 
     [project.entry-points."dynahoi_lerobot.plugins"]
     spiral = "my_package.spiral"
@@ -28,26 +28,32 @@ def known[T](noun: str, name: str, table: Mapping[str, T]) -> T:
     """Return the entry called ``name`` of a table.
 
     Raises:
-        UnknownNameError: if there is none; it suggests a name that is nearly the same and lists all.
+        UnknownNameError: if there is none; it suggests a name that is nearly the same and lists
+            all.
     """
     if name not in table:
         close = difflib.get_close_matches(name, table, n=1)
         hint = f" (did you mean {close[0]!r}?)" if close else ""
-        raise UnknownNameError(f"unknown {noun} {name!r}{hint}; known: {', '.join(filter(None, table))}")
+        raise UnknownNameError(
+            f"unknown {noun} {name!r}{hint}; known: {', '.join(filter(None, table))}"
+        )
     return table[name]
 
 
 class Registry[T]:
     """Names to things, filled by decorators in one module, or in the modules of one package.
 
-    They are found on first look-up, so a new kind is one class or function and no other line. A module whose decorators
-    spell out their names is imported when one of these is looked up, every other one at once. Code outside the package
-    may register too: importing the module that holds the decorator is enough, and the modules that other distributions
-    name as ``plugins`` are imported on first look-up as well.
+    They are found on first look-up, so a new kind is one class or function and no other line. A
+    module whose decorators spell out their names is imported when one of these is looked up, every
+    other one at once. Code outside the package may register too: importing the module that holds
+    the decorator is enough, and the modules that other distributions name as ``plugins`` are
+    imported on first look-up as well.
     """
 
     def __init__(self, noun: str, package: str) -> None:
-        """Name what is registered (for error messages) and the module or package that registers it."""
+        """Name what is registered (for error messages) and the module or package that registers
+        it.
+        """
         self.noun = noun
         self._package = package
         self._entries: dict[str, T] = {}
@@ -55,7 +61,8 @@ class Registry[T]:
         self._discovered = False
 
     def register[E](self, name: str) -> Callable[[E], E]:
-        """Return a decorator that files the decorated object under ``name``; a class gets it as its ``name``.
+        """Return a decorator that files the decorated object under ``name``; a class gets it as its
+        ``name``.
 
         Raises:
             ValueError: if another object already has the name.
@@ -65,8 +72,13 @@ class Registry[T]:
             if self._modules.get(name) not in (None, getattr(entry, "__module__", None)):
                 importlib.import_module(self._modules[name])
             taken = self._entries.get(name)
-            if taken is not None and getattr(taken, "__qualname__", taken) != getattr(entry, "__qualname__", entry):
-                raise ValueError(f"the {self.noun} name {name!r} is taken by {taken!r}; choose another for {entry!r}")
+            if taken is not None and getattr(taken, "__qualname__", taken) != getattr(
+                entry, "__qualname__", entry
+            ):
+                raise ValueError(
+                    f"the {self.noun} name {name!r} is taken by {taken!r}; choose another for "
+                    f"{entry!r}"
+                )
             if isinstance(entry, type):
                 entry.name = name  # type: ignore[attr-defined]
             self._entries[name] = cast(T, entry)
@@ -119,7 +131,9 @@ class Registry[T]:
 
 
 def _spelled_out(module: str) -> list[str]:
-    """Return the names that a module's decorators register, or none if one of them computes its name."""
+    """Return the names that a module's decorators register, or none if one of them computes its
+    name.
+    """
     spec = importlib.util.find_spec(module)
     source = Path(spec.origin).read_text(encoding="utf-8") if spec and spec.origin else ""
     names = re.findall(r'\.register\("(\w+)"\)', source)
@@ -138,12 +152,16 @@ def _plugins() -> tuple[EntryPoint, ...]:
 
 
 def plugin_packages() -> set[str]:
-    """Return the top-level packages that the entry points in ``GROUP`` name, whether they can be imported or not."""
+    """Return the top-level packages that the entry points in ``GROUP`` name, whether they can be
+    imported or not.
+    """
     return {entry.module.partition(".")[0] for entry in _plugins()}
 
 
 def load_plugins() -> None:
-    """Import the module of every entry point in ``GROUP``, once in a process; one that fails is named in a warning."""
+    """Import the module of every entry point in ``GROUP``, once in a process; one that fails is
+    named in a warning.
+    """
     global _loaded  # noqa: PLW0603 - a module that is being imported may look names up, which leads here again
     if _loaded:
         return

@@ -1,7 +1,7 @@
 """Rules of an episode: control classes, protocols, and the phase of a frame.
 
-Control classes say how fast a hand may move and how late its commands take effect, the same for whoever moves it;
-protocols say what the hand may see, and when.
+Control classes say how fast a hand may move and how late its commands take effect, the same for
+whoever moves it; protocols say what the hand may see, and when.
 """
 
 from dataclasses import dataclass
@@ -14,11 +14,13 @@ from dynahoi_lerobot.core.conventions import CONTROL_DT
 
 @dataclass(frozen=True)
 class ControlClass:
-    """The limits that the world enforces on every command, of experts, baselines and policies alike.
+    """The limits that the world enforces on every command, of experts, baselines and policies
+    alike.
 
     Attributes:
         name: its name in recipes and results.
-        palm_speed_m_s: greatest norm of the palm's velocity [m/s]. Capture rule ``contact`` keeps its gantry's limit.
+        palm_speed_m_s: greatest norm of the palm's velocity [m/s]. Capture rule ``contact`` keeps
+            its gantry's limit.
         joint_speed_rad_s: greatest speed of each finger joint [rad/s].
         latency_ms: time between a command and its effect [ms].
     """
@@ -42,8 +44,9 @@ CONTROL_CLASSES = {
         ControlClass("late", palm_speed_m_s=0.5, joint_speed_rad_s=20.0, latency_ms=150.0),
     )
 }
-"""``unlimited`` is the paper's world, as far as it can be told; ``late`` has the latency of a camera, a network and an
-arm. At 2 m/s a memoryless pursuit of the true position catches everything; at 0.5 m/s it does not."""
+"""``unlimited`` is the paper's world, as far as it can be told; ``late`` has the latency of a
+camera, a network and an arm. At 2 m/s a memoryless pursuit of the true position catches everything;
+at 0.5 m/s it does not."""
 
 DEFAULT_CONTROL_CLASS = "standard"
 
@@ -56,7 +59,8 @@ class Protocol:
         name: its name in recipes and results.
         has_window: the hand is held still for an observation window first (Section 3 of the paper).
         blind_control: all images are black from the first control frame on; proprioception stays.
-        has_screen: a panel hides the target from the hand's camera for 0.3 to 0.6 s before it can be met.
+        has_screen: a panel hides the target from the hand's camera for 0.3 to 0.6 s before it can
+            be met.
         meaning: a line for the command line's help.
     """
 
@@ -72,14 +76,24 @@ PROTOCOLS = {
     for protocol in (
         Protocol("observe_before_act", True, False, False, "an observation window, then control"),
         Protocol("direct_act", False, False, False, "control from the first frame on"),
-        Protocol("observe_then_blind", True, True, False, "an observation window, then control with black images"),
         Protocol(
-            "occluded", True, False, True, "an observation window, then control; a screen hides the target in between"
+            "observe_then_blind",
+            True,
+            True,
+            False,
+            "an observation window, then control with black images",
+        ),
+        Protocol(
+            "occluded",
+            True,
+            False,
+            True,
+            "an observation window, then control; a screen hides the target in between",
         ),
     )
 }
-"""Under ``observe_then_blind`` only a prediction from the window tells where to go, and under ``occluded`` one from
-before the target vanishes."""
+"""Under ``observe_then_blind`` only a prediction from the window tells where to go, and under
+``occluded`` one from before the target vanishes."""
 
 DEFAULT_PROTOCOL = "observe_before_act"
 
@@ -87,13 +101,15 @@ DEFAULT_PROTOCOL = "observe_before_act"
 PHASES = ("observing", "acting")
 """The phase of a frame as policies see it, one-hot.
 
-Two numbers where one would do: LeRobot stores a feature of one number as a scalar, and its streaming reader makes no
-windows over scalars, which a policy with history asks for."""
+Two numbers where one would do: LeRobot stores a feature of one number as a scalar, and its
+streaming reader makes no windows over scalars, which a policy with history asks for."""
 ACTING = PHASES.index("acting")
 
 
 def one_hot_phase(acting: np.ndarray) -> np.ndarray:
-    """Return the phase of frames, (..., 2) float32: [1, 0] while observing, [0, 1] while ``acting`` (...) bool."""
+    """Return the phase of frames, (..., 2) float32: [1, 0] while observing, [0, 1] while ``acting``
+    (...) bool.
+    """
     return np.stack([~acting, acting], axis=-1).astype(np.float32)
 
 

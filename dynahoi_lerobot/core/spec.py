@@ -29,15 +29,18 @@ class EpisodeSpec:
         protocol: one of ``rules.PROTOCOLS``.
         hand: registered name of the hand.
         open_joints: (15,) joint angles of the open hand [rad], in which it waits.
-        reference_joints: (15,) joint angles of the reference grasp [rad], which closes the hand around the target.
+        reference_joints: (15,) joint angles of the reference grasp [rad], which closes the hand
+            around the target.
         window_frames: length of the observation window, 0 without one.
         length_frames: L, length of the expert's recording; a policy gets L control steps.
         home_pos_w: (3,) palm centre at the start [m].
-        intercept_frame: the earliest frame at which a hand of fixed speed can reach the untouched target.
+        intercept_frame: the earliest frame at which a hand of fixed speed can reach the untouched
+            target.
         intercept_pos_w: (3,) position of the target at that frame [m].
         yaw_rad: initial turn about the vertical of a target on a prescribed path.
         spin_rad_s: constant angular velocity of such a target about its own z axis.
-        target_path_w: (F, 3) position of the untouched target at every frame [m], F = window + L + 1.
+        target_path_w: (F, 3) position of the untouched target at every frame [m], F = window + L +
+            1.
         fingerprint: identifies recipe and code.
     """
 

@@ -18,7 +18,8 @@ LOCK, TASK = "lock", "plan.json"
 
 @contextmanager
 def working_folder(path: Path, task: dict[str, Any]) -> Iterator[Path]:
-    """Make a folder, or enter that of an interrupted run of the same task, given as JSON values, and hold its lock.
+    """Make a folder, or enter that of an interrupted run of the same task, given as JSON values,
+    and hold its lock.
 
     A run that fails before it has made anything leaves no folder.
 
@@ -50,9 +51,12 @@ def exclusive(folder: Path) -> Iterator[None]:
 
     Raises:
         BlockingIOError: if another process holds it.
-        FileExistsError: if a link, hard or symbolic, has the lock's name; what it leads to would be overwritten.
+        FileExistsError: if a link, hard or symbolic, has the lock's name; what it leads to would be
+            overwritten.
     """
-    if (lock := folder / LOCK).is_symlink() or (lock.exists() and not (lock.is_file() and lock.stat().st_nlink == 1)):
+    if (lock := folder / LOCK).is_symlink() or (
+        lock.exists() and not (lock.is_file() and lock.stat().st_nlink == 1)
+    ):
         raise FileExistsError(f"{lock} is a link, not a lock; remove it or choose another folder")
     with lock.open("a+") as file:
         try:
@@ -90,27 +94,35 @@ def differences(found: dict[str, Any], wanted: dict[str, Any]) -> str:
 
 
 def _refuse_foreign(path: Path) -> None:
-    """Refuse a folder with content but without a task; an interrupted start may have left its lock."""
+    """Refuse a folder with content but without a task; an interrupted start may have left its
+    lock.
+    """
     if (path / TASK).exists():
         return
     names = sorted(entry.name for entry in path.iterdir())
     if foreign := [name for name in names if name != LOCK and not name.startswith(f".{TASK}.")]:
         raise FileExistsError(
-            f"{path} holds {foreign[0]} but no {TASK}, so it is not the folder of an interrupted run; remove it or "
+            f"{path} holds {foreign[0]} but no {TASK}, so it is not the folder of an interrupted "
+            f"run; remove it or "
             "choose another folder"
         )
 
 
 def _claim(path: Path, task: dict[str, Any]) -> None:
-    """Write the task into a new folder or compare it with that of an old one; remove drafts of killed processes."""
+    """Write the task into a new folder or compare it with that of an old one; remove drafts of
+    killed processes.
+    """
     text = json.dumps(task, indent=4)
     if not (path / TASK).exists():
         write_atomically({path / TASK: lambda draft: draft.write_text(text)})
     if (found := read_task(path)) is None:
-        raise FileExistsError(f"{path / TASK} cannot be read; remove {path} or choose another folder")
+        raise FileExistsError(
+            f"{path / TASK} cannot be read; remove {path} or choose another folder"
+        )
     if names := differences(found, json.loads(text)):
         raise FileExistsError(
-            f"{path} holds the work of another run (other {names}); remove it or choose another folder"
+            f"{path} holds the work of another run (other {names}); remove it or choose another "
+            f"folder"
         )
     for draft in path.glob(".*.part"):
         draft.unlink()

@@ -36,7 +36,10 @@ BOOKKEEPING_COLUMNS = {
     "frame_index": ("1", "number of the frame in its episode"),
     "episode_index": ("1", "number of the episode"),
     "index": ("1", "number of the frame in the dataset"),
-    LANGUAGE: ("s", "subtasks, each with its timestamp: the same rows in every frame of an episode"),
+    LANGUAGE: (
+        "s",
+        "subtasks, each with its timestamp: the same rows in every frame of an episode",
+    ),
     "task_index": ("1", "number of the instruction in `meta/tasks.parquet`"),
 }
 """Unit and meaning of LeRobot's own columns."""
@@ -46,16 +49,23 @@ BINS = 50
 
 
 def write_card(store: Store, manifest: Manifest) -> None:
-    """Write the card and its histograms of a dataset that lacks only these and the manifest, which lists no files."""
+    """Write the card and its histograms of a dataset that lacks only these and the manifest, which
+    lists no files.
+    """
     histograms = {key: HISTOGRAM_PATH.format(key=key) for key in DRAWN}
     for key, name in histograms.items():
         (path := store.root / name).parent.mkdir(exist_ok=True)
-        path.write_text(histogram_svg(frame_column(store.root, key), store.features[key]["names"]), encoding="utf-8")
+        path.write_text(
+            histogram_svg(frame_column(store.root, key), store.features[key]["names"]),
+            encoding="utf-8",
+        )
     metadata = METADATA | {"size_categories": [_size_category(manifest.frames)]}
     template = markdown_template(Path(__file__).with_suffix(".md").read_text())
     described = described_features(store.features)
     names = described["action"].names
-    told = {key: (feature.unit, feature.meaning) for key, feature in described.items()} | BOOKKEEPING_COLUMNS
+    told = {
+        key: (feature.unit, feature.meaning) for key, feature in described.items()
+    } | BOOKKEEPING_COLUMNS
     text = template.render(
         metadata=yaml.safe_dump(metadata, sort_keys=False).rstrip(),
         manifest=manifest,
@@ -70,8 +80,13 @@ def write_card(store: Store, manifest: Manifest) -> None:
         motions=_counts(store, "motion"),
         objects=_counts(store, "object"),
         histograms=histograms,
-        frame_columns=[_cells(key, e["dtype"], e["shape"], *told[key]) for key, e in store.features.items()],
-        episode_columns=[_cells(f.key, f.dtype, _episode_shape(f), f.unit, f.meaning) for f in store.array_features],
+        frame_columns=[
+            _cells(key, e["dtype"], e["shape"], *told[key]) for key, e in store.features.items()
+        ],
+        episode_columns=[
+            _cells(f.key, f.dtype, _episode_shape(f), f.unit, f.meaning)
+            for f in store.array_features
+        ],
     )
     (store.root / CARD_PATH).write_text(text, encoding="utf-8")
 
@@ -81,7 +96,8 @@ def markdown_template(text: str) -> Template:
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(
-        undefined=StrictUndefined, finalize=lambda value: markdown(value) if type(value) is str else value
+        undefined=StrictUndefined,
+        finalize=lambda value: markdown(value) if type(value) is str else value,
     )
     return environment.from_string(text)
 
@@ -113,13 +129,16 @@ def _size_category(rows: int) -> str:
 
 
 COLUMNS, WIDTH, HEIGHT, TOP, BOTTOM, GAP = 6, 130, 60, 16, 14, 10
-"""Panels in a row; of one panel its bars [px], the lines of text above and below them, the space to the next one."""
+"""Panels in a row; of one panel its bars [px], the lines of text above and below them, the space to
+the next one."""
 INK, TEXT = "#4477aa", "#888888"
 """Legible on the Hub's light and dark pages."""
 
 
 def histogram_svg(values: np.ndarray, names: Sequence[str]) -> str:
-    """Return a panel for each dimension of (N, D) values; any version of any library draws the same bytes."""
+    """Return a panel for each dimension of (N, D) values; any version of any library draws the same
+    bytes.
+    """
     panels = [_panel(name, column) for name, column in zip(names, values.T, strict=True)]
     placed = [
         f'<g transform="translate({GAP + number % COLUMNS * (WIDTH + GAP)},'
@@ -128,21 +147,31 @@ def histogram_svg(values: np.ndarray, names: Sequence[str]) -> str:
     ]
     width = GAP + min(len(panels), COLUMNS) * (WIDTH + GAP)
     height = math.ceil(len(panels) / COLUMNS) * (TOP + HEIGHT + BOTTOM + GAP)
-    head = f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" font-family="sans-serif">'
+    head = (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" '
+        f'font-family="sans-serif">'
+    )
     return "\n".join([head, *placed, "</svg>", ""])
 
 
 def _panel(name: str, values: np.ndarray) -> str:
-    """Return the outline of the bars, whose heights grow with log(1 + count), and the ends of the range."""
+    """Return the outline of the bars, whose heights grow with log(1 + count), and the ends of the
+    range.
+    """
     values = values[np.isfinite(values)]
     low, high = float(values.min(initial=np.inf)), float(values.max(initial=-np.inf))
     counts, _ = np.histogram(values, BINS, (low, high) if high > low else None)
     baseline, tallest = TOP + HEIGHT, math.log1p(counts.max()) or 1.0
     bars = (baseline - HEIGHT * math.log1p(count) / tallest for count in counts)
-    outline = f"M0,{baseline}" + "".join(f"V{bar:.1f}h{WIDTH / BINS:.2f}" for bar in bars) + f"V{baseline}Z"
+    outline = (
+        f"M0,{baseline}"
+        + "".join(f"V{bar:.1f}h{WIDTH / BINS:.2f}" for bar in bars)
+        + f"V{baseline}Z"
+    )
     label = f'font-size="9" fill="{TEXT}" y="{baseline + 11}"'
     return (
         f'<text x="0" y="{TOP - 4}" font-size="11" fill="{TEXT}">{html.escape(str(name))}</text>'
         f'<path d="{outline}" fill="{INK}"/>'
-        f'<text x="0" {label}>{low:.3g}</text><text x="{WIDTH}" {label} text-anchor="end">{high:.3g}</text>'
+        f'<text x="0" {label}>{low:.3g}</text><text x="{WIDTH}" {label} '
+        f'text-anchor="end">{high:.3g}</text>'
     )

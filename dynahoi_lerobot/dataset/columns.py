@@ -1,4 +1,6 @@
-"""The frame table: LeRobot's description of its columns, their arrow types, its rows, and reading them back."""
+"""The frame table: LeRobot's description of its columns, their arrow types, its rows, and reading
+them back.
+"""
 
 import io
 import json
@@ -13,7 +15,14 @@ from PIL import Image
 from dynahoi_lerobot.core.control_mode import mode_of
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.features import FEATURES, IMAGE_PREFIX, TOLD_APART, Feature, action_feature, image_feature
+from dynahoi_lerobot.core.features import (
+    FEATURES,
+    IMAGE_PREFIX,
+    TOLD_APART,
+    Feature,
+    action_feature,
+    image_feature,
+)
 from dynahoi_lerobot.core.rules import is_acting
 from dynahoi_lerobot.dataset.video import MAX_PIXELS, Encoding
 
@@ -30,13 +39,20 @@ BOOKKEEPING = {
 """LeRobot's own columns."""
 
 LANGUAGE = "language_persistent"
-"""LeRobot's name of the column of subtasks. All rows of an episode stand in each of its frames; which of them is active
-is found by their timestamps (``lerobot.datasets.language_render.active_at``)."""
-SUBTASKS = ("watch the target", "reach and intercept the target", "close the hand and hold the target")
+"""LeRobot's name of the column of subtasks. All rows of an episode stand in each of its frames;
+which of them is active is found by their timestamps
+(``lerobot.datasets.language_render.active_at``)."""
+SUBTASKS = (
+    "watch the target",
+    "reach and intercept the target",
+    "close the hand and hold the target",
+)
 
 
 def dataset_features(episode: Episode) -> tuple[Feature, ...]:
-    """Return the columns that a dataset of such episodes has, in its order: of the frame table, or of the episode's."""
+    """Return the columns that a dataset of such episodes has, in its order: of the frame table, or
+    of the episode's.
+    """
     images = (image_feature(view, frames.shape[1]) for view, frames in episode.images.items())
     told = FEATURES | {"action": action_feature(mode_of(episode.action.shape[1]))}
     arrays = (feature for feature in told.values() if not feature.recipe_decides)
@@ -44,20 +60,43 @@ def dataset_features(episode: Episode) -> tuple[Feature, ...]:
 
 
 def described_features(table: Features) -> dict[str, Feature]:
-    """Return the columns of the frame table that ``info.json`` describes by their keys, in order, without LeRobot's."""
-    views = {key: image_feature(key.removeprefix(IMAGE_PREFIX), table[key]["shape"][0]) for key in image_keys(table)}
-    return views | {f.key: f for f in TOLD_APART if f.key in table and table[f.key]["names"] == [*f.names]}
+    """Return the columns of the frame table that ``info.json`` describes by their keys, in order,
+    without LeRobot's.
+    """
+    views = {
+        key: image_feature(key.removeprefix(IMAGE_PREFIX), table[key]["shape"][0])
+        for key in image_keys(table)
+    }
+    return views | {
+        f.key: f for f in TOLD_APART if f.key in table and table[f.key]["names"] == [*f.names]
+    }
 
 
-def info_features(features: Sequence[Feature], encoding: Encoding, *, subtasks: bool = False) -> Features:
-    """Return ``info.json``'s feature table: a dataset's columns of the frame table, then LeRobot's own."""
-    table = {feature.key: _info(feature, encoding) for feature in features if not feature.in_episode_table}
-    table |= {key: {"dtype": dtype, "shape": [1], "names": None} for key, dtype in BOOKKEEPING.items()}
-    return table | ({LANGUAGE: {"dtype": "language", "shape": [1], "names": None}} if subtasks else {})
+def info_features(
+    features: Sequence[Feature], encoding: Encoding, *, subtasks: bool = False
+) -> Features:
+    """Return ``info.json``'s feature table: a dataset's columns of the frame table, then LeRobot's
+    own.
+    """
+    table = {
+        feature.key: _info(feature, encoding)
+        for feature in features
+        if not feature.in_episode_table
+    }
+    table |= {
+        key: {"dtype": dtype, "shape": [1], "names": None} for key, dtype in BOOKKEEPING.items()
+    }
+    return table | (
+        {LANGUAGE: {"dtype": "language", "shape": [1], "names": None}} if subtasks else {}
+    )
 
 
 def _info(feature: Feature, encoding: Encoding) -> dict[str, Any]:
-    entry = {"dtype": feature.dtype, "shape": list(feature.column_shape), "names": list(feature.names)}
+    entry = {
+        "dtype": feature.dtype,
+        "shape": list(feature.column_shape),
+        "names": list(feature.names),
+    }
     if not feature.is_image:
         return entry
     if not encoding.is_video:
@@ -76,13 +115,19 @@ def numeric_keys(features: Features) -> list[str]:
 
 
 def content_arrays(episode: Episode, features: Sequence[Feature]) -> dict[str, np.ndarray]:
-    """Return the episode's numeric columns among ``features`` of the frame table under their keys, (T, D) each."""
+    """Return the episode's numeric columns among ``features`` of the frame table under their keys,
+    (T, D) each.
+    """
     stored = (feature for feature in features if not (feature.is_image or feature.in_episode_table))
-    return {f.key: np.asarray(getattr(episode, f.name), f.dtype).reshape(len(episode), -1) for f in stored}
+    return {
+        f.key: np.asarray(getattr(episode, f.name), f.dtype).reshape(len(episode), -1)
+        for f in stored
+    }
 
 
 def content_values(table: pa.Table, described: Features) -> dict[str, Any]:
-    """Return the attributes of an Episode that its rows of the frame table hold, which ``info.json`` describes.
+    """Return the attributes of an Episode that its rows of the frame table hold, which
+    ``info.json`` describes.
 
     Raises:
         KeyError: if a column is missing.
@@ -91,7 +136,9 @@ def content_values(table: pa.Table, described: Features) -> dict[str, Any]:
     return {f.name: column_array(table, f.key)[:, ... if f.shape else 0] for f in stored}
 
 
-def bookkeeping_arrays(frames: int, episode_index: int, first_index: int, task_index: int) -> dict[str, np.ndarray]:
+def bookkeeping_arrays(
+    frames: int, episode_index: int, first_index: int, task_index: int
+) -> dict[str, np.ndarray]:
     """Return LeRobot's own columns of one episode, each (T,); timestamps in [s]."""
     frame_index = np.arange(frames)
     return {
@@ -104,18 +151,30 @@ def bookkeeping_arrays(frames: int, episode_index: int, first_index: int, task_i
 
 
 def arrow_schema(features: Features) -> pa.Schema:
-    """Return the schema of the data files, with the note from which ``datasets`` reads its feature types."""
-    kinds = {key: _arrow_type(feature) for key, feature in features.items() if feature["dtype"] != "video"}
+    """Return the schema of the data files, with the note from which ``datasets`` reads its feature
+    types.
+    """
+    kinds = {
+        key: _arrow_type(feature)
+        for key, feature in features.items()
+        if feature["dtype"] != "video"
+    }
     note = {"info": {"features": {key: _hf_type(kind) for key, kind in kinds.items()}}}
     return pa.schema(kinds, metadata={"huggingface": json.dumps(note)})
 
 
-def frame_columns(episode: Episode, arrays: dict[str, np.ndarray], schema: pa.Schema) -> dict[str, pa.Array]:
-    """Return one episode's columns of the frame table, of which ``arrays`` are the numeric ones, without LeRobot's."""
+def frame_columns(
+    episode: Episode, arrays: dict[str, np.ndarray], schema: pa.Schema
+) -> dict[str, pa.Array]:
+    """Return one episode's columns of the frame table, of which ``arrays`` are the numeric ones,
+    without LeRobot's.
+    """
     columns = {key: flat_array(values, schema.field(key).type) for key, values in arrays.items()}
     for view, images in episode.images.items():
         if (key := IMAGE_PREFIX + view) in schema.names:
-            columns[key] = pa.array([_png_cell(image, number) for number, image in enumerate(images)], _IMAGE)
+            columns[key] = pa.array(
+                [_png_cell(image, number) for number, image in enumerate(images)], _IMAGE
+            )
     if LANGUAGE in schema.names:
         rows = subtask_rows(is_acting(episode.phase), episode.localized)
         columns[LANGUAGE] = pa.array([rows] * len(episode), _LANGUAGE)
@@ -131,7 +190,8 @@ def flat_array(values: np.ndarray, kind: pa.DataType) -> pa.Array:
 
 
 def column_array(table: pa.Table, key: str) -> np.ndarray:
-    """Return a numeric column as (n, D); LeRobot's own tools write lists that are not of a fixed size.
+    """Return a numeric column as (n, D); LeRobot's own tools write lists that are not of a fixed
+    size.
 
     Raises:
         ValueError: if it holds anything but numbers, or rows of different lengths.
@@ -139,15 +199,31 @@ def column_array(table: pa.Table, key: str) -> np.ndarray:
     values = column = table[key].combine_chunks()
     lengths: Any = [1]
     if is_list(column.type):
-        values, lengths = column.flatten(), pc.call_function("list_value_length", [column]).unique().to_pylist()
-    if not is_number(values.type) or column.null_count or values.null_count or len(lengths) > 1 or lengths == [0]:
-        raise ValueError(f"its column {key} is of type {column.type}; every row must hold the same number of values")
-    return values.to_numpy(zero_copy_only=False).reshape(len(column), -1 if len(column) else 1)  # (n, D)
+        values, lengths = (
+            column.flatten(),
+            pc.call_function("list_value_length", [column]).unique().to_pylist(),
+        )
+    if (
+        not is_number(values.type)
+        or column.null_count
+        or values.null_count
+        or len(lengths) > 1
+        or lengths == [0]
+    ):
+        raise ValueError(
+            f"its column {key} is of type {column.type}; every row must hold the same number of "
+            f"values"
+        )
+    return values.to_numpy(zero_copy_only=False).reshape(
+        len(column), -1 if len(column) else 1
+    )  # (n, D)
 
 
 def is_list(kind: pa.DataType) -> bool:
     """Tell whether an arrow type is of lists."""
-    return pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind) or pa.types.is_large_list(kind)
+    return (
+        pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind) or pa.types.is_large_list(kind)
+    )
 
 
 def is_number(kind: pa.DataType) -> bool:
@@ -156,17 +232,23 @@ def is_number(kind: pa.DataType) -> bool:
 
 
 def subtask_rows(acting: np.ndarray, localized: np.ndarray) -> list[dict[str, Any]]:
-    """Return the subtasks of an episode in LeRobot's form, each with the time [s] from which it is active.
+    """Return the subtasks of an episode in LeRobot's form, each with the time [s] from which it is
+    active.
 
-    The hand watches the target while commands are void, then reaches for it while ``acting`` (T,) bool, and holds it
-    from the first frame on which it is ``localized`` (T,) bool.
+    The hand watches the target while commands are void, then reaches for it while ``acting`` (T,)
+    bool, and holds it from the first frame on which it is ``localized`` (T,) bool.
     """
     state = np.where(localized, 2, acting)  # (T,)
     begins = np.flatnonzero(np.diff(state, prepend=-1))
     rows = []
     for frame in begins:
         time_s = float(np.float32(frame / CONTROL_HZ))  # as in the column timestamp
-        row = {"role": "assistant", "content": SUBTASKS[int(state[frame])], "style": "subtask", "timestamp": time_s}
+        row = {
+            "role": "assistant",
+            "content": SUBTASKS[int(state[frame])],
+            "style": "subtask",
+            "timestamp": time_s,
+        }
         rows.append(row | {"camera": None, "tool_calls": None})
     return rows
 
@@ -180,15 +262,20 @@ def read_png(cell: dict[str, Any]) -> np.ndarray:
     """Return the image (H, W, 3) uint8 RGB of a cell of the frame table.
 
     Raises:
-        ValueError: if it is too large, or holds more than pixels: other readers turn images by what it says.
+        ValueError: if it is too large, or holds more than pixels: other readers turn images by what
+            it says.
     """
     image = Image.open(io.BytesIO(cell["bytes"]), formats=["PNG"])
     if image.width * image.height > MAX_PIXELS:
-        raise ValueError(f"an image has {image.width} x {image.height} pixels, more than {MAX_PIXELS}")
+        raise ValueError(
+            f"an image has {image.width} x {image.height} pixels, more than {MAX_PIXELS}"
+        )
     pixels = np.asarray(image)  # after which all that it holds is known
     frames = getattr(image, "n_frames", 1)
     if image.mode != "RGB" or image.info or frames > 1:
-        raise ValueError(f"an image is {image.mode} with {sorted(image.info)} in {frames} frames, not RGB alone")
+        raise ValueError(
+            f"an image is {image.mode} with {sorted(image.info)} in {frames} frames, not RGB alone"
+        )
     return pixels
 
 
@@ -198,11 +285,15 @@ SCALARS = {"float32": pa.float32(), "int64": pa.int64(), "bool": pa.bool_()}
 _LANGUAGE = pa.list_(
     pa.struct(
         [
-            ("role", pa.string()), ("content", pa.string()), ("style", pa.string()), ("timestamp", pa.float32()),
-            ("camera", pa.string()), ("tool_calls", pa.list_(pa.string())),
+            ("role", pa.string()),
+            ("content", pa.string()),
+            ("style", pa.string()),
+            ("timestamp", pa.float32()),
+            ("camera", pa.string()),
+            ("tool_calls", pa.list_(pa.string())),
         ]
     )
-)  # fmt: skip
+)
 
 
 def _arrow_type(feature: dict[str, Any]) -> pa.DataType:

@@ -1,8 +1,9 @@
-"""The episode table: LeRobot's columns, then one column per fact about the episode, and its arrays below ``stats/``.
+"""The episode table: LeRobot's columns, then one column per fact about the episode, and its arrays
+below ``stats/``.
 
 Facts are read by ``LeRobotDataset(..., episode_filter=lambda ep: ep["motion"] == "lob")`` and by
-``ds.meta.episodes[i]["seed"]``. LeRobot does not load what is below ``stats/``, so privileged arrays cost no training
-anything there; ``dataset.frame_column`` reads them.
+``ds.meta.episodes[i]["seed"]``. LeRobot does not load what is below ``stats/``, so privileged
+arrays cost no training anything there; ``dataset.frame_column`` reads them.
 """
 
 from collections.abc import Iterable, Sequence
@@ -28,7 +29,9 @@ from dynahoi_lerobot.dataset.statistics import NAMES, Stats, table_stats
 
 EpisodeRow = dict[str, Any]
 
-FACTS = {field.name: pa.string() if field.type is str else pa.int64() for field in fields(EpisodeMeta)}
+FACTS = {
+    field.name: pa.string() if field.type is str else pa.int64() for field in fields(EpisodeMeta)
+}
 FACTS |= {"success": pa.bool_(), "stage": pa.string()}
 """Our columns that hold one value."""
 FACT_TYPES = get_type_hints(EpisodeMeta) | {"success": bool, "stage": str, "tasks": tuple[str]}
@@ -36,9 +39,13 @@ FACT_TYPES = get_type_hints(EpisodeMeta) | {"success": bool, "stage": str, "task
 
 
 def own_columns(episode: Episode, features: Iterable[Feature]) -> EpisodeRow:
-    """Return our columns of an episode's row: its facts, and those of ``features`` that are in this table."""
+    """Return our columns of an episode's row: its facts, and those of ``features`` that are in this
+    table.
+    """
     arrays = {f.key: _cells(getattr(episode, f.name), f) for f in features if f.in_episode_table}
-    return asdict(episode.meta) | {"success": bool(episode.success), "stage": episode.stage} | arrays
+    return (
+        asdict(episode.meta) | {"success": bool(episode.success), "stage": episode.stage} | arrays
+    )
 
 
 def own_values(row: EpisodeRow) -> dict[str, Any]:
@@ -53,7 +60,9 @@ def own_values(row: EpisodeRow) -> dict[str, Any]:
     values = {f.name: _value(row[f.key], f) for f in held}
     for f in held:
         if f.per == "frame" and not f.constant and len(values[f.name]) != row["length"]:
-            raise ValueError(f"{f.key} has {len(values[f.name])} rows; the episode has {row['length']} frames")
+            raise ValueError(
+                f"{f.key} has {len(values[f.name])} rows; the episode has {row['length']} frames"
+            )
     return {"meta": meta, "success": row["success"], "stage": row["stage"]} | values
 
 
@@ -64,7 +73,9 @@ def _cells(value: Any, feature: Feature) -> Any:
 
 
 def _value(cells: Any, feature: Feature) -> Any:
-    """The attribute of an Episode: a number, or an array of the feature's shape, of several where it has several."""
+    """The attribute of an Episode: a number, or an array of the feature's shape, of several where
+    it has several.
+    """
     array = np.array(cells, feature.dtype)
     if not array.ndim:
         return array.item()
@@ -82,12 +93,16 @@ def row_stats(row: EpisodeRow, key: str) -> Stats:
 
 
 def video_columns(keys: Iterable[str], place: dict[str, Any]) -> EpisodeRow:
-    """Return ``videos/<key>/<name>`` columns; the images of an episode lie at the same place for every key."""
+    """Return ``videos/<key>/<name>`` columns; the images of an episode lie at the same place for
+    every key.
+    """
     return {f"videos/{key}/{name}": value for key in keys for name, value in place.items()}
 
 
 def place_row(row: EpisodeRow, episode_index: int, first_index: int, task_index: int) -> EpisodeRow:
-    """Return the row with its place in the dataset, and the statistics of the columns that depend on it."""
+    """Return the row with its place in the dataset, and the statistics of the columns that depend
+    on it.
+    """
     length = row["length"]
     arrays = bookkeeping_arrays(length, episode_index, first_index, task_index)
     placed = {
@@ -99,7 +114,9 @@ def place_row(row: EpisodeRow, episode_index: int, first_index: int, task_index:
 
 
 def row_schema(features: Features, columns: Sequence[Feature]) -> pa.Schema:
-    """Return the schema of the episode files: of ``columns``, those that are in this table count."""
+    """Return the schema of the episode files: of ``columns``, those that are in this table
+    count.
+    """
     images = image_keys(features)
     videos = [key for key in images if features[key]["dtype"] == "video"]
     types: dict[str, pa.DataType] = {"episode_index": pa.int64(), "tasks": pa.list_(pa.string())}
@@ -107,7 +124,9 @@ def row_schema(features: Features, columns: Sequence[Feature]) -> pa.Schema:
     types |= {"dataset_from_index": pa.int64(), "dataset_to_index": pa.int64()}
     types |= video_columns(videos, dict.fromkeys(("chunk_index", "file_index"), pa.int64()))
     types |= video_columns(videos, dict.fromkeys(("from_timestamp", "to_timestamp"), pa.float64()))
-    types |= FACTS | {feature.key: _type(feature) for feature in columns if feature.in_episode_table}
+    types |= FACTS | {
+        feature.key: _type(feature) for feature in columns if feature.in_episode_table
+    }
     for key in [*images, *numeric_keys(features)]:
         types |= {f"stats/{key}/{name}": _stat_type(key in images, name) for name in NAMES}
     types |= {"meta/episodes/chunk_index": pa.int64(), "meta/episodes/file_index": pa.int64()}
@@ -117,7 +136,8 @@ def row_schema(features: Features, columns: Sequence[Feature]) -> pa.Schema:
 def fits_column(found: pa.DataType, wanted: pa.DataType) -> bool:
     """Tell whether a column may be of another type than ``row_schema`` says.
 
-    LeRobot's tools write other numeric and list types, and null where an episode from elsewhere has no value.
+    LeRobot's tools write other numeric and list types, and null where an episode from elsewhere has
+    no value.
     """
     if pa.types.is_null(found):
         return True
@@ -142,6 +162,13 @@ def _stat_type(image: bool, name: str) -> pa.DataType:
 
 def without_place(row: EpisodeRow) -> EpisodeRow:
     """Return the row without what ``place_row`` adds, ready to be placed in another dataset."""
-    dropped = ("episode_index", "dataset_from_index", "dataset_to_index", "meta/", "data/", "videos/")
+    dropped = (
+        "episode_index",
+        "dataset_from_index",
+        "dataset_to_index",
+        "meta/",
+        "data/",
+        "videos/",
+    )
     stats = tuple(f"stats/{key}/" for key in BOOKKEEPING)
     return {name: value for name, value in row.items() if not name.startswith((*dropped, *stats))}

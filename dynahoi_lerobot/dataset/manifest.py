@@ -1,4 +1,6 @@
-"""``meta/manifest.json``: hashes, seeds and provenance of a dataset, by which it is checked, resumed and merged."""
+"""``meta/manifest.json``: hashes, seeds and provenance of a dataset, by which it is checked,
+resumed and merged.
+"""
 
 import hashlib
 import json
@@ -14,7 +16,8 @@ from dynahoi_lerobot.dataset.paths import CARD_PATH, MANIFEST_PATH, write_json
 FORMAT = 1
 NOT_OURS = (CARD_PATH, "LICENSE", ".gitattributes", MANIFEST_PATH)
 NOT_OUR_FOLDERS = (".cache/", ".git/")
-"""What the Hub, git and people put beside a dataset; the manifest lists everything else but itself."""
+"""What the Hub, git and people put beside a dataset; the manifest lists everything else but
+itself."""
 
 
 @dataclass(frozen=True)
@@ -27,9 +30,11 @@ class Manifest:
         files: sha256 of every other file, by its path below the root.
         seeds: every episode's seed, in the dataset's order.
         provenance: recipe, seed, encoding and code fingerprint of the generation plan.
-        yields: how many seeds were tried and how many were kept, missed or rejected; how many of those kept failed.
+        yields: how many seeds were tried and how many were kept, missed or rejected; how many of
+            those kept failed.
         benchmark: version of the benchmark that the episodes are of.
-        sha256: what the file says ``digest`` is; empty for a manifest that was not read from a file.
+        sha256: what the file says ``digest`` is; empty for a manifest that was not read from a
+            file.
     """
 
     episodes: int
@@ -57,11 +62,15 @@ class Manifest:
 
     @classmethod
     def read(cls, root: Path) -> Self:
-        """Read it from below ``root``; ReadError if there is none, or it is not JSON of the format."""
+        """Read it from below ``root``; ReadError if there is none, or it is not JSON of the
+        format.
+        """
         types = get_type_hints(cls)
         content = read_object(root / MANIFEST_PATH, types)
         if content.pop("format", None) != FORMAT or content.keys() != types.keys():
-            raise ReadError(f"{root / MANIFEST_PATH} has an unknown format; format {FORMAT} is known")
+            raise ReadError(
+                f"{root / MANIFEST_PATH} has an unknown format; format {FORMAT} is known"
+            )
         return cls(**content)
 
     def _content(self) -> dict[str, Any]:
@@ -69,9 +78,14 @@ class Manifest:
 
 
 def file_problems(root: Path, manifest: Manifest) -> Iterator[str]:
-    """Yield every file that is missing, has changed or is not in the manifest; every byte is read."""
+    """Yield every file that is missing, has changed or is not in the manifest; every byte is
+    read.
+    """
     yield from structure_problems(root, manifest)
-    yield from (f"{name} has changed: its sha256 is not the manifest's" for name in changed_files(root, manifest))
+    yield from (
+        f"{name} has changed: its sha256 is not the manifest's"
+        for name in changed_files(root, manifest)
+    )
 
 
 def changed_files(root: Path, manifest: Manifest) -> list[str]:
@@ -79,7 +93,11 @@ def changed_files(root: Path, manifest: Manifest) -> list[str]:
 
     The card may differ: people edit theirs, and LeRobot's ``push_to_hub`` writes its own.
     """
-    there = [(root / name, digest) for name, digest in manifest.files.items() if _is_inside(name) and name != CARD_PATH]
+    there = [
+        (root / name, digest)
+        for name, digest in manifest.files.items()
+        if _is_inside(name) and name != CARD_PATH
+    ]
     return [
         path.relative_to(root).as_posix()
         for path, digest in there
@@ -98,14 +116,21 @@ def _is_inside(name: str) -> bool:
 
 
 def structure_problems(root: Path, manifest: Manifest) -> Iterator[str]:
-    """Yield whether the manifest has changed, and files that are missing or not in it, without reading them."""
+    """Yield whether the manifest has changed, and files that are missing or not in it, without
+    reading them.
+    """
     if manifest.sha256 != manifest.digest:
         said, found = manifest.sha256[:12], manifest.digest[:12]
-        yield f"{MANIFEST_PATH} has changed: the sha256 of its content is {found}..., it says {said or 'nothing'}..."
+        yield (
+            f"{MANIFEST_PATH} has changed: the sha256 of its content is {found}..., it says "
+            f"{said or 'nothing'}..."
+        )
     for name in manifest.files:
         if not _is_inside(name):
             yield f"the manifest names {name!r}, outside the dataset"
-        elif name != CARD_PATH and not os.path.isfile(root / name):  # which takes any name, however long
+        elif name != CARD_PATH and not os.path.isfile(
+            root / name
+        ):  # which takes any name, however long
             yield f"{name} is missing"
     yield from _strays(root, manifest)
 
@@ -125,5 +150,7 @@ def _strays(root: Path, manifest: Manifest) -> Iterator[str]:
 
 def hash_files(root: Path) -> dict[str, str]:
     """Return the sha256 of every file below ``root`` but the manifest."""
-    names = (path.relative_to(root).as_posix() for path in sorted(root.rglob("*")) if path.is_file())
+    names = (
+        path.relative_to(root).as_posix() for path in sorted(root.rglob("*")) if path.is_file()
+    )
     return {name: sha256(root / name) for name in names if name != MANIFEST_PATH}

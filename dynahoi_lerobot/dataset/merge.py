@@ -1,8 +1,10 @@
-"""Put stored episodes together into a new dataset, without decoding or encoding images: merge, and copy a part.
+"""Put stored episodes together into a new dataset, without decoding or encoding images: merge, and
+copy a part.
 
-LeRobot's ``aggregate_datasets`` needs torch, which making data does not, averages quantiles, appends to ever longer
-videos, of which its reader reads the whole index for every sample, and rewrites a file for every source. Its
-``delete_episodes`` re-encodes videos and drops our columns of the episode table.
+LeRobot's ``aggregate_datasets`` needs torch, which making data does not, averages quantiles,
+appends to ever longer videos, of which its reader reads the whole index for every sample, and
+rewrites a file for every source. Its ``delete_episodes`` re-encodes videos and drops our columns of
+the episode table.
 """
 
 from collections import Counter
@@ -35,13 +37,15 @@ def merge(
     limits: FileLimits | None = None,
     provenance: dict[str, Any] | None = None,
 ) -> Manifest:
-    """Merge datasets of this project, in the given order, into a new one; ``root`` appears when it is complete.
+    """Merge datasets of this project, in the given order, into a new one; ``root`` appears when it
+    is complete.
 
     Its manifest tells the ``provenance``: recipe, seed, encoding and code fingerprint.
 
     Raises:
         FileExistsError: if ``root`` exists.
-        ValueError: if the datasets' features or versions of the benchmark differ, or there are none.
+        ValueError: if the datasets' features or versions of the benchmark differ, or there are
+            none.
     """
     if root.exists():
         raise FileExistsError(f"{root} exists; choose a new folder for the merged dataset")
@@ -51,22 +55,30 @@ def merge(
     first = _columns(stores[0])
     for store in stores[1:]:
         other = _columns(store)
-        if differing := [key for key in sorted(first.keys() | other.keys()) if first.get(key) != other.get(key)]:
+        if differing := [
+            key for key in sorted(first.keys() | other.keys()) if first.get(key) != other.get(key)
+        ]:
             raise ValueError(
-                f"{store.root} has other features than {stores[0].root} ({', '.join(differing)}); merge datasets that "
+                f"{store.root} has other features than {stores[0].root} "
+                f"({', '.join(differing)}); merge datasets that "
                 "were generated with the same options"
             )
     manifests = [Manifest.read(store.root) for store in stores]
-    found = [(store.root, manifest.benchmark) for store, manifest in zip(stores, manifests, strict=True)]
+    found = [
+        (store.root, manifest.benchmark) for store, manifest in zip(stores, manifests, strict=True)
+    ]
     refuse_to_mix("benchmark", found, "merge datasets of one version")
     yields: Counter[str] = Counter()
     for manifest in manifests:
         yields.update(manifest.yields)
-    return _assemble(root, [(store, None) for store in stores], limits, provenance or {}, dict(yields))
+    return _assemble(
+        root, [(store, None) for store in stores], limits, provenance or {}, dict(yields)
+    )
 
 
 def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest:
-    """Copy the episodes of some indices, in their order, to a new dataset; ``output`` appears when it is complete.
+    """Copy the episodes of some indices, in their order, to a new dataset; ``output`` appears when
+    it is complete.
 
     Raises:
         FileExistsError: if ``output`` exists.
@@ -77,7 +89,9 @@ def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest
     if output.exists():
         raise FileExistsError(f"{output} exists; choose a new folder")
     if not (root / MANIFEST_PATH).is_file():
-        raise FileNotFoundError(f"{root} was not written by this project: {MANIFEST_PATH} is missing")
+        raise FileNotFoundError(
+            f"{root} was not written by this project: {MANIFEST_PATH} is missing"
+        )
     manifest = Manifest.read(root)
     if not kept:
         raise ValueError("got no episodes to keep; a dataset needs at least one")
@@ -86,7 +100,9 @@ def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest
     with reading(root / MANIFEST_PATH):
         require(told := {"limits": {}} | manifest.provenance, {"limits": FileLimits})
         limits = FileLimits(**told["limits"])
-    return _assemble(output, [(store, kept)], limits, manifest.provenance | {"kept": sorted(kept)}, {})
+    return _assemble(
+        output, [(store, kept)], limits, manifest.provenance | {"kept": sorted(kept)}, {}
+    )
 
 
 def _assemble(
@@ -96,11 +112,17 @@ def _assemble(
     provenance: dict[str, Any],
     yields: dict[str, int],
 ) -> Manifest:
-    """Write a dataset of stored episodes: of each source those with the given indices, None for all."""
+    """Write a dataset of stored episodes: of each source those with the given indices, None for
+    all.
+    """
     first = sources[0][0]
     columns, options = first.array_features, {"limits": limits, "features": first.features}
     # an OSError is of the folder that is written
-    with reading(first.root, OSError), new_folder(root) as folder, DatasetWriter(folder, columns, **options) as writer:
+    with (
+        reading(first.root, OSError),
+        new_folder(root) as folder,
+        DatasetWriter(folder, columns, **options) as writer,
+    ):
         for store, kept in sources:
             opened: dict[str, Opened] = {}
             for index, (row, table) in enumerate(store.stored_episodes()):
@@ -109,8 +131,11 @@ def _assemble(
         return writer.finish(provenance, yields)
 
 
-def episode_packets(store: Store, row: EpisodeRow, opened: dict[str, Opened]) -> dict[str, list[Packet]]:
-    """Return the packets of each view of an episode; none without video. Episodes are asked for in their order.
+def episode_packets(
+    store: Store, row: EpisodeRow, opened: dict[str, Opened]
+) -> dict[str, list[Packet]]:
+    """Return the packets of each view of an episode; none without video. Episodes are asked for in
+    their order.
 
     The file of each view that was read last stays in ``opened`` as long as episodes are in it.
 
@@ -119,7 +144,10 @@ def episode_packets(store: Store, row: EpisodeRow, opened: dict[str, Opened]) ->
     """
     found = {}
     for key in store.image_keys if store.has_video else []:
-        path, start = store.video_path(row, key), round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ)
+        path, start = (
+            store.video_path(row, key),
+            round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ),
+        )
         if key not in opened or opened[key][0] != path:
             opened[key] = path, enumerate(stored_packets(path))
         numbered = dropwhile(lambda entry, start=start: entry[0] < start, opened[key][1])

@@ -33,7 +33,8 @@ def check_root(root: Path) -> None:
     """
     if found := [part for part in UNOPENABLE if part in str(root.absolute())]:
         raise ValueError(
-            f"LeRobot cannot open a dataset in {root.absolute()}: it reads {found[0]!r} as part of a pattern; choose a "
+            f"LeRobot cannot open a dataset in {root.absolute()}: it reads {found[0]!r} as part "
+            f"of a pattern; choose a "
             f"path without {', '.join(UNOPENABLE)}"
         )
 
@@ -45,8 +46,9 @@ class FileLimits:
     Attributes:
         data_mb: largest parquet file [MiB], LeRobot's default.
         video_mb: largest mp4 file [MiB], LeRobot's default.
-        video_s: longest mp4 file [s]. LeRobot's PyAV reader opens the file for every sample and reads its whole
-            index: two frames cost 11 ms in a file of 16,000 frames and 26 ms in one of 64,000.
+        video_s: longest mp4 file [s]. LeRobot's PyAV reader opens the file for every sample and
+            reads its whole index: two frames cost 11 ms in a file of 16,000 frames and 26 ms in one
+            of 64,000.
         chunk_files: files per chunk folder, LeRobot's default.
     """
 
@@ -73,6 +75,8 @@ class FileLimits:
 
 
 def write_json(value: Any, path: Path) -> None:
-    """Write JSON the way LeRobot does, so that a later edit by its tools shows only what it changed."""
+    """Write JSON the way LeRobot does, so that a later edit by its tools shows only what it
+    changed.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(value, indent=4, ensure_ascii=False))

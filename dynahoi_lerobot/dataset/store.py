@@ -12,7 +12,13 @@ import numpy as np
 import pyarrow as pa
 
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.features import CAMERA_KEY, EPISODE_TABLE_PREFIX, IMAGE_PREFIX, Feature, episode_features
+from dynahoi_lerobot.core.features import (
+    CAMERA_KEY,
+    EPISODE_TABLE_PREFIX,
+    IMAGE_PREFIX,
+    Feature,
+    episode_features,
+)
 from dynahoi_lerobot.core.reading import (
     TABLE_BYTES,
     TEXT_BYTES,
@@ -25,7 +31,14 @@ from dynahoi_lerobot.core.reading import (
     reading,
     regular,
 )  # fmt: skip
-from dynahoi_lerobot.dataset.columns import Features, column_array, content_values, image_keys, numeric_keys, read_png
+from dynahoi_lerobot.dataset.columns import (
+    Features,
+    column_array,
+    content_values,
+    image_keys,
+    numeric_keys,
+    read_png,
+)
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, fits_column, own_values, row_schema
 from dynahoi_lerobot.dataset.paths import DATA_PATH, INFO_PATH, TASKS_PATH, VIDEO_PATH, check_root
 from dynahoi_lerobot.dataset.video import Encoding, decode
@@ -33,19 +46,29 @@ from dynahoi_lerobot.dataset.video import Encoding, decode
 if TYPE_CHECKING:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-PLACE = ("episode_index", "length", "dataset_from_index", "dataset_to_index", "data/chunk_index", "data/file_index")
+PLACE = (
+    "episode_index",
+    "length",
+    "dataset_from_index",
+    "dataset_to_index",
+    "data/chunk_index",
+    "data/file_index",
+)
 """Columns of the episode table that say where an episode lies."""
 CELLS = 10**7
-"""Most values of the episode table, without arrays, that are held in memory: ten million frames have fewer."""
+"""Most values of the episode table, without arrays, that are held in memory: ten million frames
+have fewer."""
 
 
 def open_dataset(root: Path, **options: Any) -> LeRobotDataset:
-    """Open the dataset with LeRobot; ``options`` go to ``LeRobotDataset`` (``delta_timestamps``, ``episodes``).
+    """Open the dataset with LeRobot; ``options`` go to ``LeRobotDataset`` (``delta_timestamps``,
+    ``episodes``).
 
     Raises:
         FileNotFoundError: if ``root`` holds no dataset.
         ReadError: if LeRobot would read what is no file of it, or cannot read it.
-        ValueError: if LeRobot cannot open this path, or reads another number of rows than its episodes have.
+        ValueError: if LeRobot cannot open this path, or reads another number of rows than its
+            episodes have.
     """
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
@@ -55,12 +78,19 @@ def open_dataset(root: Path, **options: Any) -> LeRobotDataset:
         dataset = LeRobotDataset(f"local/{root.name}", root=root, **options)
     lengths = [row["length"] for row in store.rows]
     chosen = range(len(lengths)) if dataset.episodes is None else dataset.episodes
-    if (found := dataset.hf_dataset.num_rows) != (wanted := sum(lengths[index] for index in chosen)):
-        raise ValueError(f"LeRobot reads {found} rows of {root}; its episodes have {wanted}; see `dynahoi verify`")
+    if (found := dataset.hf_dataset.num_rows) != (
+        wanted := sum(lengths[index] for index in chosen)
+    ):
+        raise ValueError(
+            f"LeRobot reads {found} rows of {root}; its episodes have {wanted}; see `dynahoi "
+            f"verify`"
+        )
     return dataset
 
 
-def read_episodes(root: Path, indices: Iterable[int] | None = None, *, images: bool = True) -> Iterator[Episode]:
+def read_episodes(
+    root: Path, indices: Iterable[int] | None = None, *, images: bool = True
+) -> Iterator[Episode]:
     """Yield episodes of a dataset that this project wrote.
 
     Args:
@@ -78,17 +108,19 @@ def read_episodes(root: Path, indices: Iterable[int] | None = None, *, images: b
 
 
 def frame_column(root: Path, key: str) -> np.ndarray:
-    """Return a column of a dataset with one row per frame: row i belongs to the frame of global index i.
+    """Return a column of a dataset with one row per frame: row i belongs to the frame of global
+    index i.
 
-    This is how a policy in training finds what it must not see, such as the target's pose: LeRobot's preprocessing
-    passes the ``index`` of a batch's frames on (and their ``episode_index``), but drops every column besides
-    observations and actions. Read the column once and look frames up: ``frame_column(root, "target.pose")[index]``.
-    A million frames take a quarter of a second.
+    This is how a policy in training finds what it must not see, such as the target's pose:
+    LeRobot's preprocessing passes the ``index`` of a batch's frames on (and their
+    ``episode_index``), but drops every column besides observations and actions. Read the column
+    once and look frames up: ``frame_column(root, "target.pose")[index]``. A million frames take a
+    quarter of a second.
 
     Args:
         root: the dataset's folder, ``meta.root`` of LeRobot's metadata.
-        key: name of a column of the frame table, or of the episode table with or without its prefix ``stats/``. What
-            has one value per episode is repeated for each of its frames.
+        key: name of a column of the frame table, or of the episode table with or without its prefix
+            ``stats/``. What has one value per episode is repeated for each of its frames.
 
     Returns:
         (N, D) in the column's unit, of its element type.
@@ -100,32 +132,44 @@ def frame_column(root: Path, key: str) -> np.ndarray:
     store = Store(root)
     if key in numeric_keys(store.features):
         tables = [store.table(path, [*{"index", key}]) for path in store.data_files()]
-        index, values = (np.concatenate([column_array(table, name) for table in tables]) for name in ("index", key))
+        index, values = (
+            np.concatenate([column_array(table, name) for table in tables])
+            for name in ("index", key)
+        )
         if not np.array_equal(index[:, 0], np.arange(len(values))):
             raise ValueError(f"{root} holds its frames in another order; see `dynahoi verify`")
         return values
     feature = store.array_feature(key)
     if feature is None or feature.per != "frame":
         raise ValueError(f"{root} has no column {key!r} with a row per frame")
-    lengths = np.concatenate([store.table(path, ["length"])["length"].to_numpy() for path in store.row_files()])
+    lengths = np.concatenate(
+        [store.table(path, ["length"])["length"].to_numpy() for path in store.row_files()]
+    )
     values = episode_column(root, key)
-    rows = np.repeat(values, lengths, axis=0) if feature.constant else np.concatenate(values)  # (N, D)
+    rows = (
+        np.repeat(values, lengths, axis=0) if feature.constant else np.concatenate(values)
+    )  # (N, D)
     if len(rows) != lengths.sum():
-        raise ValueError(f"{root} has {len(rows)} rows of {key!r} for {lengths.sum()} frames; see `dynahoi verify`")
+        raise ValueError(
+            f"{root} has {len(rows)} rows of {key!r} for {lengths.sum()} frames; see `dynahoi "
+            f"verify`"
+        )
     return rows
 
 
 def episode_column(root: Path, key: str) -> list[np.ndarray]:
-    """Return an array of the episode table, one item an episode: item i belongs to ``episode_index`` i.
+    """Return an array of the episode table, one item an episode: item i belongs to
+    ``episode_index`` i.
 
-    Unlike ``frame_column``, it also reads arrays whose number of rows is not the number of frames, such as
-    ``target_path``: the target's untouched path, beyond the end of the recording.
+    Unlike ``frame_column``, it also reads arrays whose number of rows is not the number of frames,
+    such as ``target_path``: the target's untouched path, beyond the end of the recording.
 
     Args:
         root, key: as ``frame_column`` takes them.
 
     Returns:
-        Per episode (D,) what is constant, else (rows, D), in the column's unit, of its element type.
+        Per episode (D,) what is constant, else (rows, D), in the column's unit, of its element
+        type.
 
     Raises:
         FileNotFoundError: if ``root`` holds no dataset.
@@ -136,7 +180,11 @@ def episode_column(root: Path, key: str) -> list[np.ndarray]:
     if feature is None:
         raise ValueError(f"{root} has no array {key!r} in its episode table")
     shape = feature.column_shape if feature.constant else (-1, *feature.column_shape)
-    cells = [cell for path in store.row_files() for cell in store.table(path, [feature.key])[feature.key].to_numpy()]
+    cells = [
+        cell
+        for path in store.row_files()
+        for cell in store.table(path, [feature.key])[feature.key].to_numpy()
+    ]
     return [np.asarray(cell, feature.dtype).reshape(shape) for cell in cells]
 
 
@@ -154,8 +202,12 @@ class Store:
         """The content of ``info.json``; ValueError if it is damaged."""
         info = read_object(path := self.root / INFO_PATH, {"features": dict[str, dict[str, Any]]})
         for key, entry in info["features"].items():
-            if "/" in key or not fits([entry.get("dtype"), entry.get("shape")], list[str | list[int]]):
-                raise ReadError(f"{path} describes the feature {key!r} by {entry!r:.200}, which no column has")
+            if "/" in key or not fits(
+                [entry.get("dtype"), entry.get("shape")], list[str | list[int]]
+            ):
+                raise ReadError(
+                    f"{path} describes the feature {key!r} by {entry!r:.200}, which no column has"
+                )
         return info
 
     @property
@@ -167,10 +219,14 @@ class Store:
         return fps
 
     def check_files(self) -> None:
-        """Refuse a dataset of which LeRobot would open another file than its own, or one too large for memory."""
+        """Refuse a dataset of which LeRobot would open another file than its own, or one too large
+        for memory.
+        """
         for name, usual in (("data_path", DATA_PATH), ("video_path", VIDEO_PATH)):
             if (told := self.info.get(name)) not in (usual, None):
-                raise ReadError(f"{self.root / INFO_PATH} says {name} is {told!r}; it must be {usual!r}")
+                raise ReadError(
+                    f"{self.root / INFO_PATH} says {name} is {told!r}; it must be {usual!r}"
+                )
         for path in [self.root / TASKS_PATH, *self.row_files(), *self.data_files()]:
             open_table(path).close()
         for path in (self.root / "meta").glob("*.json"):
@@ -178,7 +234,10 @@ class Store:
         for path in self.root.glob("videos/*/*/*"):
             regular(path)
         if (told := sum(row["length"] for row in self.rows)) != self.frame_count:
-            raise ReadError(f"{self.root} has {self.frame_count} frames, and episodes of {told}; see `dynahoi verify`")
+            raise ReadError(
+                f"{self.root} has {self.frame_count} frames, and episodes of {told}; see "
+                f"`dynahoi verify`"
+            )
 
     @cached_property
     def frame_count(self) -> int:
@@ -229,18 +288,34 @@ class Store:
                 if name in wanted.names and not fits_column(kind, told := wanted.field(name).type):
                     raise ReadError(f"{path} has a column {name} of type {kind}; it must be {told}")
             names = [name for name in held if not name.startswith(EPISODE_TABLE_PREFIX)]
-            names = [name for name in names if name in wanted.names or not pa.types.is_nested(held[name])]
+            names = [
+                name for name in names if name in wanted.names or not pa.types.is_nested(held[name])
+            ]
             if (cells := cells + file.metadata.num_rows * len(names)) > CELLS:
                 raise ReadError(f"{path} holds {cells} values or more; at most {CELLS} are read")
             for row in read_rows(path, names):
-                places = [name for name in row if name.startswith("videos/") and name.endswith("_index")]
-                if wrong := [name for name in (*PLACE, *places) if not fits(row.get(name), int) or row[name] < 0]:
-                    raise ReadError(f"{path} says {wrong[0]} of an episode is {row.get(wrong[0])!r}")
+                places = [
+                    name for name in row if name.startswith("videos/") and name.endswith("_index")
+                ]
+                if wrong := [
+                    name
+                    for name in (*PLACE, *places)
+                    if not fits(row.get(name), int) or row[name] < 0
+                ]:
+                    raise ReadError(
+                        f"{path} says {wrong[0]} of an episode is {row.get(wrong[0])!r}"
+                    )
                 first = rows[-1]["dataset_to_index"] if rows else 0
                 place = (len(rows), row["length"], first, first + row["length"])
-                if not row["length"] or place[3] > self.frame_count or place != tuple(row[name] for name in PLACE[:4]):
+                if (
+                    not row["length"]
+                    or place[3] > self.frame_count
+                    or place != tuple(row[name] for name in PLACE[:4])
+                ):
                     told = ", ".join(f"{name} {row[name]}" for name in PLACE[:4])
-                    raise ReadError(f"{path} places episode {len(rows)} at {told}, of {self.frame_count} frames")
+                    raise ReadError(
+                        f"{path} places episode {len(rows)} at {told}, of {self.frame_count} frames"
+                    )
                 rows.append(row)
         return rows
 
@@ -260,7 +335,9 @@ class Store:
         return [feature for feature in episode_features() if feature.key in names]
 
     def array_feature(self, key: str) -> Feature | None:
-        """Return one of ``array_features`` by its key, with or without the prefix; None if there is none."""
+        """Return one of ``array_features`` by its key, with or without the prefix; None if there is
+        none.
+        """
         name = EPISODE_TABLE_PREFIX + key.removeprefix(EPISODE_TABLE_PREFIX)
         return next((feature for feature in self.array_features if feature.key == name), None)
 
@@ -273,13 +350,17 @@ class Store:
             raise ValueError(f"{self.root} holds no {table}: there is no file in {folder}")
         return paths
 
-    def table(self, path: Path, columns: list[str] | None = None, episode: int | None = None) -> pa.Table:
+    def table(
+        self, path: Path, columns: list[str] | None = None, episode: int | None = None
+    ) -> pa.Table:
         """Return a file of a table, or of it some columns, or the rows of one episode.
 
         Raises:
             ValueError: if it is missing or damaged.
         """
-        return read_table(path, columns, None if episode is None else [("episode_index", "=", episode)])
+        return read_table(
+            path, columns, None if episode is None else [("episode_index", "=", episode)]
+        )
 
     def full_rows(self) -> Iterator[EpisodeRow]:
         """Yield the rows of the episode table with all their columns."""
@@ -297,15 +378,22 @@ class Store:
         return self.root / VIDEO_PATH.format(video_key=key, **place)
 
     def frames(self, row: EpisodeRow) -> pa.Table:
-        """Return the episode's rows of the frame table; ValueError if their file is missing or damaged."""
+        """Return the episode's rows of the frame table; ValueError if their file is missing or
+        damaged.
+        """
         return self._own(row, self.table(self.data_path(row), episode=row["episode_index"]))
 
     def _own(self, row: EpisodeRow, table: pa.Table) -> pa.Table:
-        """Return rows of the frame table that must be the frames of an episode, all of them and in order."""
+        """Return rows of the frame table that must be the frames of an episode, all of them and in
+        order.
+        """
         with reading(path := self.data_path(row)):
             wanted = np.arange(row["dataset_from_index"], row["dataset_to_index"])
             if not np.array_equal(column_array(table, "index")[:, 0], wanted):
-                raise ReadError(f"{path} does not hold the frames of episode {row['episode_index']} in their order")
+                raise ReadError(
+                    f"{path} does not hold the frames of episode {row['episode_index']} in their "
+                    f"order"
+                )
         return table
 
     def images(self, row: EpisodeRow, table: pa.Table, key: str) -> np.ndarray:
@@ -322,7 +410,8 @@ class Store:
             for place, image in zip(range(row["length"]), shown, strict=True):
                 if image.shape != shape[1:]:
                     raise ValueError(
-                        f"it shows an image of shape {image.shape}; {self.root / INFO_PATH} says {shape[1:]}"
+                        f"it shows an image of shape {image.shape}; {self.root / INFO_PATH} says "
+                        f"{shape[1:]}"
                     )
                 images[place] = image
             return images

@@ -1,7 +1,8 @@
 """Images on disk: mp4 files of many episodes through PyAV, or PNG files in the frame table.
 
-Each episode is encoded on its own, from a new encoder, so its packets are a function of its images and the settings
-alone: they are the same wherever in a file the episode lies, and a replay can compare them byte by byte.
+Each episode is encoded on its own, from a new encoder, so its packets are a function of its images
+and the settings alone: they are the same wherever in a file the episode lies, and a replay can
+compare them byte by byte.
 """
 
 import errno
@@ -26,13 +27,25 @@ from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.reading import regular
 from dynahoi_lerobot.core.registry import known
 
-av.logging.set_libav_level(av.logging.ERROR)  # what FFmpeg prints wherever LeRobot has restored its own callback
+av.logging.set_libav_level(
+    av.logging.ERROR
+)  # what FFmpeg prints wherever LeRobot has restored its own callback
 
 CODECS = {"h264": "libx264", "images": ""}
-"""What stores images, and its encoder in FFmpeg: LeRobot's tools turn either into any other codec that it knows."""
+"""What stores images, and its encoder in FFmpeg: LeRobot's tools turn either into any other codec
+that it knows."""
 PRESETS = (
-    "ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow", "placebo",
-)  # fmt: skip
+    "ultrafast",
+    "superfast",
+    "veryfast",
+    "faster",
+    "fast",
+    "medium",
+    "slow",
+    "slower",
+    "veryslow",
+    "placebo",
+)
 MAX_GOP, MAX_CRF, MAX_PIXELS = 10_000, 51, 4096**2
 FRAME = Fraction(1, CONTROL_HZ)
 """Duration of a frame [s], the unit of time in video files."""
@@ -44,7 +57,9 @@ READ_S = 1e-4
 class Encoding:
     """How a dataset stores its images."""
 
-    codec: str = option("h264", "h264, or images for PNG files in the parquet tables instead of video")
+    codec: str = option(
+        "h264", "h264, or images for PNG files in the parquet tables instead of video"
+    )
     crf: int = option(20, "constant rate factor; lower means better quality and larger files")
     preset: str = option("superfast", "encoder speed preset")
     gop: int = option(2, "key frame interval [frames]; every episode starts with a key frame")
@@ -65,12 +80,18 @@ class Encoding:
         return self.codec != "images"
 
     def check_size(self, image_size: int) -> None:
-        """Refuse images of an odd size [px], whose colours a video cannot halve; ValueError naming the size."""
+        """Refuse images of an odd size [px], whose colours a video cannot halve; ValueError naming
+        the size.
+        """
         if self.is_video and image_size % 2:
-            raise ValueError(f"the image size is {image_size} pixels; it must be an even number for a video")
+            raise ValueError(
+                f"the image size is {image_size} pixels; it must be an even number for a video"
+            )
 
     def info(self, image_size: int) -> dict[str, Any]:
-        """Return what LeRobot records about a video stream, so that its tools can re-encode it alike."""
+        """Return what LeRobot records about a video stream, so that its tools can re-encode it
+        alike.
+        """
         return {
             "video.height": image_size,
             "video.width": image_size,
@@ -108,7 +129,9 @@ class Encoding:
 
 
 def encode(images: np.ndarray, encoding: Encoding) -> list[Packet]:
-    """Return the packets of one episode's square images (T, H, W, 3) uint8 RGB, one a frame, the first a key frame."""
+    """Return the packets of one episode's square images (T, H, W, 3) uint8 RGB, one a frame, the
+    first a key frame.
+    """
     encoder = cast(VideoCodecContext, av.CodecContext.create(CODECS[encoding.codec], "w"))
     encoding.configure(encoder, images.shape[1])
     packets: list[Packet] = []
@@ -120,12 +143,18 @@ def encode(images: np.ndarray, encoding: Encoding) -> list[Packet]:
 
 
 class VideoFile:
-    """An mp4 file that grows by episodes. Nothing in it tells when or by which library it was written."""
+    """An mp4 file that grows by episodes. Nothing in it tells when or by which library it was
+    written.
+    """
 
     def __init__(self, path: Path, add_stream: Callable[[OutputContainer], VideoStream]) -> None:
-        """Open ``path``; ``add_stream`` gives the file its stream, see ``encoded_stream`` and ``copied_stream``."""
+        """Open ``path``; ``add_stream`` gives the file its stream, see ``encoded_stream`` and
+        ``copied_stream``.
+        """
         self.path, self.frames, self.size_bytes = path, 0, 0
-        self._container = av.open(str(path), "w", options={"fflags": "+bitexact", "write_btrt": "0"})
+        self._container = av.open(
+            str(path), "w", options={"fflags": "+bitexact", "write_btrt": "0"}
+        )
         self._stream = add_stream(self._container)
         self._stream.time_base = FRAME
 
@@ -149,7 +178,9 @@ class VideoFile:
         with self._writing():
             self._container.close()
         if (stored := sum(1 for _ in stored_packets(self.path))) != self.frames:
-            raise OSError(errno.EIO, f"only {stored} of {self.frames} frames reached the disk", str(self.path))
+            raise OSError(
+                errno.EIO, f"only {stored} of {self.frames} frames reached the disk", str(self.path)
+            )
 
     def abandon(self) -> None:
         """Close the file, whatever it contains."""
@@ -186,28 +217,42 @@ def stored_packets(path: Path) -> Iterator[Packet]:
         OSError: if the file cannot be read as a video.
     """
     with av.open(str(regular(path)), format="mp4") as container:
-        yield from (packet for packet in container.demux(video=0) if packet.size)  # the last one only flushes
+        yield from (
+            packet for packet in container.demux(video=0) if packet.size
+        )  # the last one only flushes
 
 
 def stream_problem(path: Path) -> str | None:
-    """Say why other readers may show a video's packets at other times, turned, or not at all; nothing is decoded."""
+    """Say why other readers may show a video's packets at other times, turned, or not at all;
+    nothing is decoded.
+    """
     with av.open(str(regular(path)), format="mp4") as container:
         stream = container.streams.video[0]
         if len(container.streams) > 1:
             return f"has {len(container.streams)} streams, not one"
         if (rate := stream.average_rate) is None or abs(rate - CONTROL_HZ) > READ_S * CONTROL_HZ:
             return f"has {rate} frames/s, not {CONTROL_HZ}"
-        times = sorted(cast(int, packet.pts) * packet.time_base for packet in container.demux(stream) if packet.size)
+        times = sorted(
+            cast(int, packet.pts) * packet.time_base
+            for packet in container.demux(stream)
+            if packet.size
+        )
         late = (number for number, time in enumerate(times) if abs(time - number * FRAME) > READ_S)
-        return next((f"shows frame {number} at another time than its place" for number in late), None)
+        return next(
+            (f"shows frame {number} at another time than its place" for number in late), None
+        )
 
 
 def decode(path: Path, start: int = 0, stop: int | None = None) -> Iterator[np.ndarray]:
-    """Yield frames ``start`` to ``stop`` (excluded; None for all) of a video as (H, W, 3) uint8 RGB."""
+    """Yield frames ``start`` to ``stop`` (excluded; None for all) of a video as (H, W, 3) uint8
+    RGB.
+    """
     with av.open(str(regular(path)), format="mp4") as container:
         stream = container.streams.video[0]
         if stream.width * stream.height > MAX_PIXELS:
-            raise ValueError(f"its frames have {stream.width} x {stream.height} pixels, more than {MAX_PIXELS}")
+            raise ValueError(
+                f"its frames have {stream.width} x {stream.height} pixels, more than {MAX_PIXELS}"
+            )
         rate, time_base = cast(Fraction, stream.average_rate), cast(Fraction, stream.time_base)
         if start:
             container.seek(int(start / rate / time_base), stream=stream)

@@ -1,4 +1,5 @@
-"""Write a LeRobotDataset v3.0, episode by episode: from Episodes, or from what other datasets hold of them.
+"""Write a LeRobotDataset v3.0, episode by episode: from Episodes, or from what other datasets hold
+of them.
 
 The same episodes give the same bytes, in whatever pieces they were made.
 """
@@ -38,10 +39,13 @@ MIB = 1 << 20
 FLUSH_ROWS = 256
 
 
-def write_episodes(root: Path, episodes: Iterable[Episode], encoding: Encoding | None = None) -> Manifest:
+def write_episodes(
+    root: Path, episodes: Iterable[Episode], encoding: Encoding | None = None
+) -> Manifest:
     """Write episodes, in their order, as a new dataset; ``root`` appears atomically.
 
-    The first episode determines the columns: its views and their size, and whether it has ``touch``.
+    The first episode determines the columns: its views and their size, and whether it has
+    ``touch``.
 
     Args:
         root: a path that does not exist yet.
@@ -65,7 +69,8 @@ def write_episodes(root: Path, episodes: Iterable[Episode], encoding: Encoding |
 
 
 class _Tables:
-    """Parquet files of one kind: each table is a row group, and a new file begins before one would be too large.
+    """Parquet files of one kind: each table is a row group, and a new file begins before one would
+    be too large.
 
     Sizes in memory decide, so that no other version of a compressor begins a file elsewhere.
     """
@@ -82,7 +87,9 @@ class _Tables:
             self.close()
             self.number, self._size_bytes = self.number + 1, 0
             path = self._limits.path(self._root, self._template, self.number)
-            self._writer = pq.ParquetWriter(path, self.schema, compression="snappy", use_dictionary=True)
+            self._writer = pq.ParquetWriter(
+                path, self.schema, compression="snappy", use_dictionary=True
+            )
         self._size_bytes += table.nbytes
         return self._limits.place(self.number)
 
@@ -102,8 +109,8 @@ class _Tables:
 class DatasetWriter:
     """Writes a dataset into a new folder.
 
-    Until ``finish`` returns, the folder is not a dataset: write into a temporary one and rename it. As a context it
-    closes its files whatever happens.
+    Until ``finish`` returns, the folder is not a dataset: write into a temporary one and rename it.
+    As a context it closes its files whatever happens.
     """
 
     def __init__(
@@ -124,8 +131,8 @@ class DatasetWriter:
             encoding: how images are stored.
             limits: file size limits.
             subtasks: whether to write subtasks as LeRobot's column for language.
-            features: ``info.json``'s feature table of the datasets whose episodes are copied; with it, ``columns`` need
-                only be those of the episode table.
+            features: ``info.json``'s feature table of the datasets whose episodes are copied; with
+                it, ``columns`` need only be those of the episode table.
 
         Raises:
             FileExistsError: if ``root`` exists.
@@ -133,10 +140,14 @@ class DatasetWriter:
         """
         paths.check_root(root)
         self._encoding = encoding or Encoding()
-        self._encoding.check_size(max((column.shape[0] for column in columns if column.is_image), default=0))
+        self._encoding.check_size(
+            max((column.shape[0] for column in columns if column.is_image), default=0)
+        )
         root.mkdir()
         self.root, self.limits = root, limits or FileLimits()
-        self.features = features or frame_table.info_features(columns, self._encoding, subtasks=subtasks)
+        self.features = features or frame_table.info_features(
+            columns, self._encoding, subtasks=subtasks
+        )
         self.episodes = self.frames = 0
         self._schema = frame_table.arrow_schema(self.features)
         self._data = _Tables(root, paths.DATA_PATH, self._schema, self.limits)
@@ -147,12 +158,14 @@ class DatasetWriter:
         self._image_keys = frame_table.image_keys(self.features)
         self._image_stats: dict[str, list[Stats]] = {key: [] for key in self._image_keys}
         self._videos: dict[str, VideoFile] = {}
-        """The file of each view that is being written; all of them begin and end with the same episodes."""
+        """The file of each view that is being written; all of them begin and end with the same
+        episodes."""
         self._n_videos = 0
         self._columns = tuple(columns)
 
     def add(self, episode: Episode, packets: dict[str, list[Packet]] | None = None) -> None:
-        """Append one episode, whose images are encoded, or of which another dataset holds the packets of each view.
+        """Append one episode, whose images are encoded, or of which another dataset holds the
+        packets of each view.
 
         Raises:
             ValueError: if it has other columns than the dataset, or images of another size.
@@ -160,19 +173,32 @@ class DatasetWriter:
         check_fits(episode, self._columns)
         images = {IMAGE_PREFIX + view: frames for view, frames in episode.images.items()}
         arrays = frame_table.content_arrays(episode, self._columns)
-        row = episode_table.own_columns(episode, self._columns) | {"tasks": [episode.meta.task], "length": len(episode)}
+        row = episode_table.own_columns(episode, self._columns) | {
+            "tasks": [episode.meta.task],
+            "length": len(episode),
+        }
         stats = table_stats(arrays) | {key: image_stats(images[key]) for key in self._image_keys}
         row |= episode_table.stats_columns(stats)
         if packets is None:
-            packets = {key: encode(images[key], self._encoding) for key in images} if self._encoding.is_video else {}
+            packets = (
+                {key: encode(images[key], self._encoding) for key in images}
+                if self._encoding.is_video
+                else {}
+            )
         size = max((frames.shape[1] for frames in images.values()), default=0)
         stream = partial(encoded_stream, encoding=self._encoding, image_size=size)
-        self._append(row, frame_table.frame_columns(episode, arrays, self._schema), packets, lambda _: stream)
+        self._append(
+            row, frame_table.frame_columns(episode, arrays, self._schema), packets, lambda _: stream
+        )
 
-    def copy(self, store: Store, row: EpisodeRow, table: pa.Table, packets: dict[str, list[Packet]]) -> None:
-        """Append one episode that another dataset of the same features holds, without decoding or encoding images.
+    def copy(
+        self, store: Store, row: EpisodeRow, table: pa.Table, packets: dict[str, list[Packet]]
+    ) -> None:
+        """Append one episode that another dataset of the same features holds, without decoding or
+        encoding images.
 
-        ``row`` is its full row, ``table`` its frames, and ``packets`` are those of each view, none without video.
+        ``row`` is its full row, ``table`` its frames, and ``packets`` are those of each view, none
+        without video.
 
         Raises:
             TypeError, ValueError: if the row lacks a fact, or a value has the wrong type.
@@ -182,10 +208,18 @@ class DatasetWriter:
         require(own, episode_table.FACT_TYPES)
         for key in frame_table.numeric_keys(self.features):
             frame_table.column_array(table, key)
-        self._append(own, columns, packets, lambda key: partial(copied_stream, path=store.video_path(row, key)))
+        self._append(
+            own,
+            columns,
+            packets,
+            lambda key: partial(copied_stream, path=store.video_path(row, key)),
+        )
 
-    def finish(self, provenance: dict[str, Any] | None = None, yields: dict[str, int] | None = None) -> Manifest:
-        """Close every file, write the tables under ``meta/`` and the card, and return the manifest, also written.
+    def finish(
+        self, provenance: dict[str, Any] | None = None, yields: dict[str, int] | None = None
+    ) -> Manifest:
+        """Close every file, write the tables under ``meta/`` and the card, and return the manifest,
+        also written.
 
         Raises:
             ValueError: if no episode was added.
@@ -199,12 +233,17 @@ class DatasetWriter:
         _write_tasks(list(self._tasks), self.root / paths.TASKS_PATH)
         paths.write_json(self._info(), self.root / paths.INFO_PATH)
         stats = self._stats()
-        as_lists = {key: {name: value.tolist() for name, value in stat.items()} for key, stat in stats.items()}
+        as_lists = {
+            key: {name: value.tolist() for name, value in stat.items()}
+            for key, stat in stats.items()
+        }
         paths.write_json(as_lists, self.root / paths.STATS_PATH)
         store = Store(self.root)
         seeds = [row["seed"] for row in store.rows]
         benchmark = ", ".join(sorted({row["benchmark"] for row in store.rows}))
-        facts = Manifest(self.episodes, self.frames, {}, seeds, provenance or {}, yields or {}, benchmark)
+        facts = Manifest(
+            self.episodes, self.frames, {}, seeds, provenance or {}, yields or {}, benchmark
+        )
         write_card(store, facts)
         manifest = replace(facts, files=hash_files(self.root))
         manifest.write(self.root)
@@ -224,16 +263,26 @@ class DatasetWriter:
         packets: dict[str, list[Packet]],
         stream: Callable[[str], Any],
     ) -> None:
-        """Append an episode: its row and its columns without place, its packets, and what opens a video for a view."""
-        place = (self.episodes, self.frames, self._tasks.setdefault(row["tasks"][0], len(self._tasks)))
+        """Append an episode: its row and its columns without place, its packets, and what opens a
+        video for a view.
+        """
+        place = (
+            self.episodes,
+            self.frames,
+            self._tasks.setdefault(row["tasks"][0], len(self._tasks)),
+        )
         for key, values in frame_table.bookkeeping_arrays(row["length"], *place).items():
             columns[key] = frame_table.flat_array(values, self._schema.field(key).type)
         table = pa.table(
-            [columns[key].cast(self._schema.field(key).type) for key in self._schema.names], schema=self._schema
+            [columns[key].cast(self._schema.field(key).type) for key in self._schema.names],
+            schema=self._schema,
         )
         chunk, file = self._data.place_for(table)
         self._data.append(table)
-        row = episode_table.place_row(row, *place) | {"data/chunk_index": chunk, "data/file_index": file}
+        row = episode_table.place_row(row, *place) | {
+            "data/chunk_index": chunk,
+            "data/file_index": file,
+        }
         if packets:
             row |= self._append_videos(row["length"], packets, stream)
         for key in self._image_keys:
@@ -244,7 +293,9 @@ class DatasetWriter:
         if len(self._pending) == FLUSH_ROWS:
             self._flush_rows()
 
-    def _append_videos(self, length: int, packets: dict[str, list[Packet]], stream: Callable[[str], Any]) -> EpisodeRow:
+    def _append_videos(
+        self, length: int, packets: dict[str, list[Packet]], stream: Callable[[str], Any]
+    ) -> EpisodeRow:
         """Append packets to the video of each view; return the columns that say where they are."""
         if not all(self._fits(video, packets[key]) for key, video in self._videos.items()):
             self._close_videos()
@@ -257,16 +308,25 @@ class DatasetWriter:
         for key, video in self._videos.items():
             video.append(packets[key])
         chunk, file = self.limits.place(self._n_videos - 1)
-        times = {"from_timestamp": start / CONTROL_HZ, "to_timestamp": (start + length) / CONTROL_HZ}
-        return episode_table.video_columns(packets, {"chunk_index": chunk, "file_index": file} | times)
+        times = {
+            "from_timestamp": start / CONTROL_HZ,
+            "to_timestamp": (start + length) / CONTROL_HZ,
+        }
+        return episode_table.video_columns(
+            packets, {"chunk_index": chunk, "file_index": file} | times
+        )
 
-    def _open_video(self, path: Path, add_stream: Callable[[OutputContainer], VideoStream]) -> VideoFile:
+    def _open_video(
+        self, path: Path, add_stream: Callable[[OutputContainer], VideoStream]
+    ) -> VideoFile:
         return VideoFile(path, add_stream)
 
     def _fits(self, video: VideoFile, packets: list[Packet]) -> bool:
         size_bytes = video.size_bytes + sum(packet.size for packet in packets)
         frames = video.frames + len(packets)
-        return size_bytes <= self.limits.video_mb * MIB and frames <= self.limits.video_s * CONTROL_HZ
+        return (
+            size_bytes <= self.limits.video_mb * MIB and frames <= self.limits.video_s * CONTROL_HZ
+        )
 
     def _close_videos(self) -> None:
         for video in self._videos.values():
@@ -277,7 +337,9 @@ class DatasetWriter:
         if not self._pending:
             return
         table = pa.Table.from_pylist(self._pending, self._rows.schema)
-        for name, value in zip(("chunk_index", "file_index"), self._rows.place_for(table), strict=True):
+        for name, value in zip(
+            ("chunk_index", "file_index"), self._rows.place_for(table), strict=True
+        ):
             position = self._rows.schema.get_field_index(f"meta/episodes/{name}")
             cells = pa.array([value] * len(table), pa.int64())
             table = table.set_column(position, self._rows.schema.field(position), cells)
@@ -285,7 +347,9 @@ class DatasetWriter:
         self._pending.clear()
 
     def _stats(self) -> dict[str, Stats]:
-        """Return the dataset's statistics by key: of images from those of episodes, of columns from all frames."""
+        """Return the dataset's statistics by key: of images from those of episodes, of columns from
+        all frames.
+        """
         stats = {key: pooled(found) for key, found in self._image_stats.items()}
         for key in frame_table.numeric_keys(self.features):
             values = frame_column(self.root, key)
@@ -322,7 +386,8 @@ def check_fits(episode: Episode, features: Sequence[Feature]) -> None:
     for key in (*wanted, *found):
         if wanted.get(key) != found.get(key):
             raise ValueError(
-                f"the episode of seed {episode.meta.seed} has {_described(key, found)}, the dataset needs "
+                f"the episode of seed {episode.meta.seed} has {_described(key, found)}, the "
+                f"dataset needs "
                 f"{_described(key, wanted)}; all episodes of a dataset must have the same columns"
             )
 
@@ -335,10 +400,25 @@ def _write_tasks(tasks: list[str], path: Path) -> None:
     """Write LeRobot's task table: pandas must find the texts as the index named ``task``."""
     kinds = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
     columns = [
-        {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy, "metadata": None}
+        {
+            "name": name,
+            "field_name": name,
+            "pandas_type": kind,
+            "numpy_type": numpy,
+            "metadata": None,
+        }
         for name, (kind, numpy) in kinds.items()
     ]
-    note = {"index_columns": ["task"], "column_indexes": [], "columns": columns, "pandas_version": "2.3.3"}
-    schema = pa.schema([("task_index", pa.int64()), ("task", pa.string())], metadata={"pandas": json.dumps(note)})
+    note = {
+        "index_columns": ["task"],
+        "column_indexes": [],
+        "columns": columns,
+        "pandas_version": "2.3.3",
+    }
+    schema = pa.schema(
+        [("task_index", pa.int64()), ("task", pa.string())], metadata={"pandas": json.dumps(note)}
+    )
     path.parent.mkdir(parents=True, exist_ok=True)
-    pq.write_table(pa.table([list(range(len(tasks))), tasks], schema=schema), path, compression="snappy")
+    pq.write_table(
+        pa.table([list(range(len(tasks))), tasks], schema=schema), path, compression="snappy"
+    )

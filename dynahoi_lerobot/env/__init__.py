@@ -10,7 +10,8 @@ __all__ = ["DynahoiEnv", "DynahoiVectorEnv", "register_envs"]
 
 
 def register_envs() -> None:
-    """Register ``dynahoi/<kind>-v0`` for every registered motion, and ``dynahoi/all-v0``; only once.
+    """Register ``dynahoi/<kind>-v0`` for every registered motion, and ``dynahoi/all-v0``; only
+    once.
 
     Held-out kinds play split ``ood_motion``, all others ``test``.
     """

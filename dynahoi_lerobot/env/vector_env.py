@@ -1,4 +1,6 @@
-"""N worlds as a native ``gymnasium.vector.VectorEnv`` over one ``WorldBatch``, and one world as a ``gymnasium.Env``."""
+"""N worlds as a native ``gymnasium.vector.VectorEnv`` over one ``WorldBatch``, and one world as a
+``gymnasium.Env``.
+"""
 
 import copy
 from collections.abc import Callable, Sequence
@@ -36,53 +38,61 @@ RANDOM_SEED_LIMIT = 2**31
 SPARSE, DENSE = "sparse", "dense"
 REWARDS = {
     SPARSE: "1 at the frame at which the episode ends in success, else 0",
-    DENSE: "the same, plus (d - d') / 0.1 m in the control phase: how much closer palm and target have come",
+    DENSE: "the same, plus (d - d') / 0.1 m in the control phase: how much closer palm and "
+    "target have come",
 }
-"""Name: formula. ``d`` and ``d'`` are the distances from palm centre to target centre before and after the step. This
-is potential-based shaping F = Phi(s') - Phi(s), with Phi = -d / 0.1 m (Ng, Harada and Russell, 1999, gamma = 1): its
-sum over an episode depends on the first and the last distance only, so it changes no policy's rank."""
+"""Name: formula. ``d`` and ``d'`` are the distances from palm centre to target centre before and
+after the step. This is potential-based shaping F = Phi(s') - Phi(s), with Phi = -d / 0.1 m (Ng,
+Harada and Russell, 1999, gamma = 1): its sum over an episode depends on the first and the last
+distance only, so it changes no policy's rank."""
 
 
 class DynahoiVectorEnv(VectorEnv):
     """N hands that watch N moving objects and may then catch them.
 
     Description:
-        A floating five-fingered hand (3 palm translations, 15 flexion joints) and a target that moves on a path of its
-        own, at 20 Hz. In the observation window (the first 20 % of the frames, at least 8) actions are ignored and the
-        hand stays still; ``phase`` changes from [1, 0] to [0, 1] when the control phase of L steps begins. SI units;
-        positions are in the home frame: axes of the world, z up, origin at the palm's start.
+        A floating five-fingered hand (3 palm translations, 15 flexion joints) and a target that
+        moves on a path of its own, at 20 Hz. In the observation window (the first 20 % of the
+        frames, at least 8) actions are ignored and the hand stays still; ``phase`` changes from [1,
+        0] to [0, 1] when the control phase of L steps begins. SI units; positions are in the home
+        frame: axes of the world, z up, origin at the palm's start.
     Observation:
-        A dictionary of ``features.FEATURES`` by ``gym_key``: ``pixels``, a dictionary of (H, W, 3) uint8 RGB images by
-        view, ``ego`` (the hand's camera) first; ``agent_pos`` (18,) palm centre [m], home frame, and joint angles
-        [rad]; ``phase`` (2,); and, if the capture rule uses contact sensors, ``touch`` (5,) force of each finger on the
-        target [N]. Only on request ``environment_state``: the simulator's truth (13,), pose of the target [m, 1], home
-        frame, and its linear and angular velocity [m/s, rad/s]; or (14,) where the eye sees it (`core/features.py`).
+        A dictionary of ``features.FEATURES`` by ``gym_key``: ``pixels``, a dictionary of (H, W, 3)
+        uint8 RGB images by view, ``ego`` (the hand's camera) first; ``agent_pos`` (18,) palm centre
+        [m], home frame, and joint angles [rad]; ``phase`` (2,); and, if the capture rule uses
+        contact sensors, ``touch`` (5,) force of each finger on the target [N]. Only on request
+        ``environment_state``: the simulator's truth (13,), pose of the target [m, 1], home frame,
+        and its linear and angular velocity [m/s, rad/s]; or (14,) where the eye sees it
+        (`core/features.py`).
     Action:
-        (18,) float32 target for the next frame: palm centre [m], home frame, and joint angles [rad]. The palm's bounds
-        are the length of the gantry's slides either way (4, 4 and 2.48 m), the same in every episode, so that they do
-        not give away where on the slides the hand starts. Clipped to the joint ranges and to the slides, and limited to
-        the speed of the control class: the norm of the palm's velocity to 0.5 m/s (``standard``, ``late``) or 2 m/s
-        (``unlimited``), joints to 20 rad/s; under ``contact`` each axis of the palm to 2 m/s. It takes effect at once,
-        or after 150 ms (``late``). With ``control_mode="grasp"`` (4,): the palm's displacement from its current
-        position [m], and the closure of the hand, 0 to 1.
+        (18,) float32 target for the next frame: palm centre [m], home frame, and joint angles
+        [rad]. The palm's bounds are the length of the gantry's slides either way (4, 4 and 2.48 m),
+        the same in every episode, so that they do not give away where on the slides the hand
+        starts. Clipped to the joint ranges and to the slides, and limited to the speed of the
+        control class: the norm of the palm's velocity to 0.5 m/s (``standard``, ``late``) or 2 m/s
+        (``unlimited``), joints to 20 rad/s; under ``contact`` each axis of the palm to 2 m/s. It
+        takes effect at once, or after 150 ms (``late``). With ``control_mode="grasp"`` (4,): the
+        palm's displacement from its current position [m], and the closure of the hand, 0 to 1.
     Reward:
-        One of ``REWARDS``: 1 at the frame at which the episode ends in success, else 0 (``sparse``), or progress
-        towards the target as well (``dense``).
+        One of ``REWARDS``: 1 at the frame at which the episode ends in success, else 0
+        (``sparse``), or progress towards the target as well (``dense``).
     Episode end:
-        Terminated when the outcome is settled, half a second (``attach``) after localisation; truncated after L + 1
-        control steps, of which the last ignores its action and records where the one before led. What happens then is
-        the autoreset mode's: the next step begins the world's next episode and ignores its action (``NEXT_STEP``); the
-        same step begins it, and info has ``final_obs`` and ``final_info`` of the episode that ended (``SAME_STEP``); or
-        the world stands still, black in images, until a reset (``DISABLED``).
+        Terminated when the outcome is settled, half a second (``attach``) after localisation;
+        truncated after L + 1 control steps, of which the last ignores its action and records where
+        the one before led. What happens then is the autoreset mode's: the next step begins the
+        world's next episode and ignores its action (``NEXT_STEP``); the same step begins it, and
+        info has ``final_obs`` and ``final_info`` of the episode that ended (``SAME_STEP``); or the
+        world stands still, black in images, until a reset (``DISABLED``).
     Info:
-        ``is_success`` (N,) bool at every step; when an episode ends also every metric by name, (N,) float64, NaN where
-        it does not apply, with its mask ``_<name>``.
+        ``is_success`` (N,) bool at every step; when an episode ends also every metric by name, (N,)
+        float64, NaN where it does not apply, with its mask ``_<name>``.
     Options:
-        ``reset(options={"lerobot_new_rollout": True})`` plays one episode in every world, then waits for a reset.
-        ``reset(options={"reset_mask": mask})`` begins episodes in the worlds of ``mask`` (N,) bool alone.
+        ``reset(options={"lerobot_new_rollout": True})`` plays one episode in every world, then
+        waits for a reset. ``reset(options={"reset_mask": mask})`` begins episodes in the worlds of
+        ``mask`` (N,) bool alone.
 
-    Copies (``pickle``, ``deepcopy``) are constructed anew from the same arguments and need a reset. Attributes are
-    ``recipe``, ``kind``, ``reward`` and ``autoreset_mode``.
+    Copies (``pickle``, ``deepcopy``) are constructed anew from the same arguments and need a reset.
+    Attributes are ``recipe``, ``kind``, ``reward`` and ``autoreset_mode``.
     """
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": CONTROL_HZ}  # noqa: RUF012 - gymnasium's convention
@@ -112,23 +122,40 @@ class DynahoiVectorEnv(VectorEnv):
             threads: for physics; 0 for all cores.
             render_mode: ``rgb_array`` or None.
             on_episode: called with every finished Episode.
-            inference: timing of a policy whose inferences take time, for this env alone. A step is then one call of the
-                policy: some calls only fetch more of a chunk, return the same observation and advance no world.
-            fields: fields of the recipe to change, such as ``split="val"`` or ``image_size=96``; see ``Recipe``.
+            inference: timing of a policy whose inferences take time, for this env alone. A step is
+                then one call of the policy: some calls only fetch more of a chunk, return the same
+                observation and advance no world.
+            fields: fields of the recipe to change, such as ``split="val"`` or ``image_size=96``;
+                see ``Recipe``.
 
         Raises:
             ValueError: for an unknown name or a value out of range, naming those allowed.
         """
         if render_mode is not None and render_mode not in RENDER_MODES:
-            raise ValueError(f"unknown render mode {render_mode!r}; known: {', '.join(RENDER_MODES)}, or None")
+            raise ValueError(
+                f"unknown render mode {render_mode!r}; known: {', '.join(RENDER_MODES)}, or None"
+            )
         known("reward", reward, REWARDS)
-        self.num_envs, self.kind, self.reward, self.render_mode = num_envs, kind, reward, render_mode
+        self.num_envs, self.kind, self.reward, self.render_mode = (
+            num_envs,
+            kind,
+            reward,
+            render_mode,
+        )
         played = recipe.changed(**fields)
-        self.recipe = played if kind is None or kind in played.motion_names else played.changed(motions=(kind,))
+        self.recipe = (
+            played
+            if kind is None or kind in played.motion_names
+            else played.changed(motions=(kind,))
+        )
         if inference is not None and self.recipe.control_mode != JOINTS:
-            raise ValueError(f"inference async needs control_mode {JOINTS!r}, got {self.recipe.control_mode!r}")
+            raise ValueError(
+                f"inference async needs control_mode {JOINTS!r}, got {self.recipe.control_mode!r}"
+            )
         mode = autoreset_mode.value if isinstance(autoreset_mode, AutoresetMode) else autoreset_mode
-        self.autoreset_mode = known("autoreset mode", mode, {one.value: one for one in AutoresetMode})
+        self.autoreset_mode = known(
+            "autoreset mode", mode, {one.value: one for one in AutoresetMode}
+        )
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
         self._threads, self._on_episode, self._inference = threads, on_episode, inference
         self._batch = WorldBatch(self.recipe, num_envs, threads)
@@ -140,29 +167,39 @@ class DynahoiVectorEnv(VectorEnv):
         self._numbers = np.zeros(num_envs, int)  # of the episodes, within split and kind
         self._max_frames = np.zeros(num_envs, int)  # of each world's episode
         self._success, self._ended = np.zeros((2, num_envs), bool)
-        self._distance_m = np.zeros(num_envs)  # from palm centre to target centre at the last frame, for ``DENSE``
+        self._distance_m = np.zeros(
+            num_envs
+        )  # from palm centre to target centre at the last frame, for ``DENSE``
         self._one_episode = False
 
     def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Begin an episode in every world, or in those of ``reset_mask``.
 
         Args:
-            seed: number of the episode within the split (and kind), 0 to 2^40 - 1: one for each world, or that of the
-                first world, from which the others count up; None draws at random. Each later episode of a world has its
-                number plus N, modulo 2^40, also after a reset of some worlds with None.
+            seed: number of the episode within the split (and kind), 0 to 2^40 - 1: one for each
+                world, or that of the first world, from which the others count up; None draws at
+                random. Each later episode of a world has its number plus N, modulo 2^40, also after
+                a reset of some worlds with None.
             options: see the class.
 
         Raises:
-            ValueError: for a seed that is not such an integer, a wrong number of them, a mask that is not (N,) bool, or
-                if inference takes time and worlds would begin their next episodes at different frames.
+            ValueError: for a seed that is not such an integer, a wrong number of them, a mask that
+                is not (N,) bool, or if inference takes time and worlds would begin their next
+                episodes at different frames.
             ResetNeeded: for a mask that leaves out worlds in which no episode has begun.
             ClosedEnvironmentError: after ``close``.
         """
         self._check_open()
         options = options or {}
-        one_episode, mask = bool(options.get(ONE_EPISODE_OPTION, False)), self._mask(options.get("reset_mask"))
+        one_episode, mask = (
+            bool(options.get(ONE_EPISODE_OPTION, False)),
+            self._mask(options.get("reset_mask")),
+        )
         if self._inference is not None and not (one_episode and mask.all()):
             option = f"options={{{ONE_EPISODE_OPTION!r}: True}}"
             raise ValueError(f"with inference async all worlds begin together; reset with {option}")
@@ -178,20 +215,27 @@ class DynahoiVectorEnv(VectorEnv):
         self._ended[mask] = False
         return as_gym(self._session.observe()), {"is_success": self._success.copy()}
 
-    def step(self, actions: np.ndarray) -> tuple[dict[str, Any], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Advance every world by one frame of 0.05 s; a world whose episode has ended begins the next one instead.
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[dict[str, Any], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Advance every world by one frame of 0.05 s; a world whose episode has ended begins the
+        next one instead.
 
         Args:
-            actions: (N, 18) targets for the next frame, palm centres [m], home frame, and joint angles [rad].
+            actions: (N, 18) targets for the next frame, palm centres [m], home frame, and joint
+                angles [rad].
 
         Raises:
-            ValueError: for a wrong shape or element type, or a value that is not finite; nothing moves then.
+            ValueError: for a wrong shape or element type, or a value that is not finite; nothing
+                moves then.
             ResetNeeded: before the first ``reset``.
             ClosedEnvironmentError: after ``close``.
         """
         before = self._observed()
         if np.shape(actions)[1:] != self.single_action_space.shape:
-            raise ValueError(f"action must have shape {self.action_space.shape}, got {np.shape(actions)}")
+            raise ValueError(
+                f"action must have shape {self.action_space.shape}, got {np.shape(actions)}"
+            )
         if self._inference is not None:
             commands = self._batch.commands.read(actions, before.state)
             due = self._inference.answer(commands, before.state.astype(np.float64))
@@ -232,7 +276,9 @@ class DynahoiVectorEnv(VectorEnv):
         return tuple(images[EGO_VIEW] if images else self._batch.cameras.render())
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Return attribute ``name`` of every world, called if it is callable, like gymnasium's other vector envs."""
+        """Return attribute ``name`` of every world, called if it is callable, like gymnasium's
+        other vector envs.
+        """
         value = getattr(self, name)
         if name == "render":
             return value()
@@ -255,7 +301,9 @@ class DynahoiVectorEnv(VectorEnv):
 
     @property
     def _max_episode_steps(self) -> int:
-        """Steps after which every episode now being played has ended; LeRobot reads it after every reset."""
+        """Steps after which every episode now being played has ended; LeRobot reads it after every
+        reset.
+        """
         frames = int(self._max_frames.max())
         return frames if self._inference is None else self._inference.calls(frames)
 
@@ -264,7 +312,10 @@ class DynahoiVectorEnv(VectorEnv):
         names = ("num_envs", "recipe", "kind", "reward", "render_mode", "autoreset_mode")
         arguments: dict[str, Any] = {name: getattr(self, name) for name in names}
         arguments |= {"threads": self._threads, "on_episode": self._on_episode}
-        return {"arguments": arguments | {"inference": copy.deepcopy(self._inference)}, "spec": self.spec}
+        return {
+            "arguments": arguments | {"inference": copy.deepcopy(self._inference)},
+            "spec": self.spec,
+        }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Construct the copy."""
@@ -288,7 +339,9 @@ class DynahoiVectorEnv(VectorEnv):
             return np.ones(self.num_envs, bool)
         given = np.asarray(mask)
         if given.dtype != bool or given.shape != (self.num_envs,) or not given.any():
-            raise ValueError(f"reset_mask must be {self.num_envs} bool, one of them True, got {mask!r}")
+            raise ValueError(
+                f"reset_mask must be {self.num_envs} bool, one of them True, got {mask!r}"
+            )
         if self._session.observation is None and not given.all():
             raise ResetNeeded("call reset without reset_mask first: no episode has begun")
         return given
@@ -303,7 +356,10 @@ class DynahoiVectorEnv(VectorEnv):
             return np.array([check_seed(first + i) for i in range(n)], np.int64)
         if len(seed) != n:
             raise ValueError(f"reset needs one seed for each of {n} worlds, got {len(seed)}")
-        drawn = (self.np_random.integers(0, RANDOM_SEED_LIMIT) if one is None else check_seed(one) for one in seed)
+        drawn = (
+            self.np_random.integers(0, RANDOM_SEED_LIMIT) if one is None else check_seed(one)
+            for one in seed
+        )
         return np.fromiter(drawn, np.int64, n)
 
     def _begin(self, ids: np.ndarray) -> None:
@@ -316,7 +372,9 @@ class DynahoiVectorEnv(VectorEnv):
         self._distance_m = self._measured_distance_m()
 
     def _infos(self, ending: np.ndarray) -> dict[str, Any]:
-        """Finish the episodes of worlds ``ending`` (N,) bool; return the step's infos, see the class."""
+        """Finish the episodes of worlds ``ending`` (N,) bool; return the step's infos, see the
+        class.
+        """
         for i in self._session.playing:
             self._success[i] = self._session.success(int(i))
         infos: dict[str, Any] = {"is_success": self._success.copy()}
@@ -331,16 +389,25 @@ class DynahoiVectorEnv(VectorEnv):
         return infos
 
     def _final(self, infos: dict[str, Any], ending: np.ndarray) -> dict[str, Any]:
-        """Return the infos of a step that also begins episodes where they are ``ending`` (N,) bool, see the class."""
+        """Return the infos of a step that also begins episodes where they are ``ending`` (N,) bool,
+        see the class.
+        """
         last = as_gym(self._batch.observe(ids=np.flatnonzero(ending)))
         observations = np.full(self.num_envs, None, object)
         for i in np.flatnonzero(ending):
             observations[i] = _of_world(last, i)
         final = infos | {"_is_success": ending}
-        return {"final_obs": observations, "_final_obs": ending, "final_info": final, "_final_info": ending}
+        return {
+            "final_obs": observations,
+            "_final_obs": ending,
+            "final_info": final,
+            "_final_info": ending,
+        }
 
     def _rewards(self, acted: np.ndarray, ending: np.ndarray) -> np.ndarray:
-        """(N,) reward of a step, see ``REWARDS``; (N,) bool each: its action took effect, the episode ends with it."""
+        """(N,) reward of a step, see ``REWARDS``; (N,) bool each: its action took effect, the
+        episode ends with it.
+        """
         rewards = (self._success & ending).astype(np.float64)
         if self.reward == DENSE:
             before_m, self._distance_m = self._distance_m, self._measured_distance_m()
@@ -350,16 +417,20 @@ class DynahoiVectorEnv(VectorEnv):
 
     def _measured_distance_m(self) -> np.ndarray:
         """(N,) distance from palm centre to target centre [m]."""
-        return np.linalg.norm(self._batch.target_pose[:, :3] - self._batch.state[:, :PALM_DOF], axis=1)
+        return np.linalg.norm(
+            self._batch.target_pose[:, :3] - self._batch.state[:, :PALM_DOF], axis=1
+        )
 
 
 class DynahoiEnv(gym.Env):
-    """One hand and one moving object: ``DynahoiVectorEnv`` for a single world, without batch axis and autoreset.
+    """One hand and one moving object: ``DynahoiVectorEnv`` for a single world, without batch axis
+    and autoreset.
 
-    Description, observation, action, reward, episode end and options are those of ``DynahoiVectorEnv``. Info has the
-    same names, with Python's own scalars, but for metrics that do not apply. After the end of an episode the world
-    stands still until ``reset``. Copies (``pickle``, ``deepcopy``) have the same
-    constructor arguments and begin before their first reset.
+    Description, observation, action, reward, episode end and options are those of
+    ``DynahoiVectorEnv``. Info has the same names, with Python's own scalars, but for metrics that
+    do not apply. After the end of an episode the world stands still until ``reset``. Copies
+    (``pickle``, ``deepcopy``) have the same constructor arguments and begin before their first
+    reset.
     """
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": CONTROL_HZ}  # noqa: RUF012 - gymnasium's convention
@@ -398,15 +469,26 @@ class DynahoiEnv(gym.Env):
         """Advance by one frame of 0.05 s.
 
         Args:
-            action: (18,) target for the next frame, palm centre [m], home frame, and joint angles [rad].
+            action: (18,) target for the next frame, palm centre [m], home frame, and joint angles
+                [rad].
 
         Raises what ``DynahoiVectorEnv.step`` raises.
         """
-        observation, reward, terminated, truncated, infos = self._vector.step(np.asarray(action)[None])
-        return _of_world(observation, 0), float(reward[0]), bool(terminated[0]), bool(truncated[0]), _scalars(infos)
+        observation, reward, terminated, truncated, infos = self._vector.step(
+            np.asarray(action)[None]
+        )
+        return (
+            _of_world(observation, 0),
+            float(reward[0]),
+            bool(terminated[0]),
+            bool(truncated[0]),
+            _scalars(infos),
+        )
 
     def render(self) -> np.ndarray | None:  # type: ignore[override]
-        """Return the image of the hand's camera, (H, W, 3) uint8, or None if the render mode is None."""
+        """Return the image of the hand's camera, (H, W, 3) uint8, or None if the render mode is
+        None.
+        """
         return self._vector.render()[0] if self.render_mode is not None else None
 
     def close(self) -> None:
@@ -429,7 +511,9 @@ class DynahoiEnv(gym.Env):
 
 
 def observation_space(features: Sequence[Feature]) -> spaces.Dict:
-    """Return the space of one world's observations: a Box for each of ``features`` that policies see."""
+    """Return the space of one world's observations: a Box for each of ``features`` that policies
+    see.
+    """
     groups: dict[str, dict[str, spaces.Space]] = {"": {}}
     for feature in features:
         if feature.observed and feature.gym_key is not None:
@@ -437,22 +521,33 @@ def observation_space(features: Sequence[Feature]) -> spaces.Dict:
             box = spaces.Box(feature.low, feature.high, feature.shape, np.dtype(feature.dtype).type)
             groups.setdefault(group, {})[key] = box
     ungrouped = groups.pop("")
-    return spaces.Dict({**{group: spaces.Dict(boxes) for group, boxes in groups.items()}, **ungrouped})
+    return spaces.Dict(
+        {**{group: spaces.Dict(boxes) for group, boxes in groups.items()}, **ungrouped}
+    )
 
 
 def check_seed(seed: Any) -> int:
     """Return ``seed`` as an int; ValueError if it is not an integer from 0 to 2^40 - 1."""
-    if isinstance(seed, bool | np.bool_) or not isinstance(seed, int | np.integer) or not 0 <= seed < SEED_LIMIT:
+    if (
+        isinstance(seed, bool | np.bool_)
+        or not isinstance(seed, int | np.integer)
+        or not 0 <= seed < SEED_LIMIT
+    ):
         raise ValueError(f"a seed must be an integer from 0 to 2^40 - 1, got {seed!r}")
     return int(seed)
 
 
 def _of_world(batched: dict[str, Any], i: int) -> dict[str, Any]:
-    return {key: _of_world(value, i) if isinstance(value, dict) else value[i] for key, value in batched.items()}
+    return {
+        key: _of_world(value, i) if isinstance(value, dict) else value[i]
+        for key, value in batched.items()
+    }
 
 
 def _scalars(infos: dict[str, np.ndarray]) -> dict[str, bool | float]:
     """Return the infos of one world: no masks, and no metrics that are not a number."""
     return {
-        name: value[0].item() for name, value in infos.items() if not name.startswith("_") and not np.isnan(value[0])
+        name: value[0].item()
+        for name, value in infos.items()
+        if not name.startswith("_") and not np.isnan(value[0])
     }

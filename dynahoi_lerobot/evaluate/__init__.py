@@ -1,1 +1,3 @@
-"""Closed-loop evaluation: result folders, intervals, strata, paired comparisons, tables and clips."""
+"""Closed-loop evaluation: result folders, intervals, strata, paired comparisons, tables and
+clips.
+"""

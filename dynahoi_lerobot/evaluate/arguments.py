@@ -15,7 +15,8 @@ TRAINED_FOR = dict.fromkeys(
     ("capture", "control_class", "protocol", "control_mode", "image_size"),
     "by default the setting that the policy was trained with",
 )
-"""Fields of a recipe that a policy may say it was trained for, with what that adds to their help."""
+"""Fields of a recipe that a policy may say it was trained for, with what that adds to their
+help."""
 
 TRUST = "load the checkpoint even if it can run code, and list the findings (docs/notes/trust.md)"
 """Help of ``--trust``, which every command that loads a policy has."""
@@ -25,20 +26,26 @@ EXPERT_ALIAS = "expert"
 
 
 def make_actor(
-    name: str, capture: str = "attach", device: str | None = None, settings: Sequence[str] = (), *, trust: bool = False
+    name: str,
+    capture: str = "attach",
+    device: str | None = None,
+    settings: Sequence[str] = (),
+    *,
+    trust: bool = False,
 ) -> Actor:
     """Return the expert called ``name``, or else load the policy of that name.
 
     Args:
-        name: an expert; ``expert`` for the capture rule's own; or a policy, as ``PolicyAgent`` takes it.
+        name: an expert; ``expert`` for the capture rule's own; or a policy, as ``PolicyAgent``
+            takes it.
         capture: the capture rule, ``attach``, ``attach_lenient`` or ``contact``.
         device: torch device of a policy, its own if None.
         settings: changes of a policy's config, ``KEY=VALUE`` each.
         trust: load a policy even if that can run code of its own.
 
     Raises:
-        ValueError: if there is no such policy, its config cannot be changed so, or loading it could run code of its
-            own, unless ``trust`` allows that.
+        ValueError: if there is no such policy, its config cannot be changed so, or loading it could
+            run code of its own, unless ``trust`` allows that.
     """
     key = CAPTURES[capture].expert if name == EXPERT_ALIAS else name
     if settings and key in (*EXPERTS.names(), VLM):
@@ -49,7 +56,9 @@ def make_actor(
 
 
 def playing_rules(given: dict[str, Any], actor: Actor) -> dict[str, Any]:
-    """Return fields of the recipe to play by: those ``given``, and what the actor was trained for, which is printed."""
+    """Return fields of the recipe to play by: those ``given``, and what the actor was trained for,
+    which is printed.
+    """
     trained = {name: value for name, value in actor.trained_for.items() if name not in given}
     if trained:
         told = ", ".join(f"--{name.replace('_', '-')} {value}" for name, value in trained.items())

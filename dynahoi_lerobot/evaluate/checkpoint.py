@@ -1,7 +1,9 @@
-"""Opening a checkpoint: what it could run is found before anything of it is loaded, and its weights must fit.
+"""Opening a checkpoint: what it could run is found before anything of it is loaded, and its weights
+must fit.
 
-LeRobot calls whatever importable object a processor step names, ``subprocess.Popen`` included, and silently keeps
-random weights where a checkpoint has none. ``docs/notes/trust.md`` says what is refused here, and why.
+LeRobot calls whatever importable object a processor step names, ``subprocess.Popen`` included, and
+silently keeps random weights where a checkpoint has none. ``docs/notes/trust.md`` says what is
+refused here, and why.
 """
 
 import inspect
@@ -38,23 +40,47 @@ CONFIG, WEIGHTS, TRAINING = "config.json", "model.safetensors", "train_config.js
 PIPELINES = ("policy_preprocessor.json", "policy_postprocessor.json")
 
 POLICY_TYPES = frozenset(
-    {"act", "actiontokens", "diffusion", "multi_task_dit", "obact", "pi0", "pi05", "smolvla", "tdmpc", "upvla"}
+    {
+        "act",
+        "actiontokens",
+        "diffusion",
+        "multi_task_dit",
+        "obact",
+        "pi0",
+        "pi05",
+        "smolvla",
+        "tdmpc",
+        "upvla",
+    }
     | {"vqbet", "xvla"}
 )
 """Policies whose own code runs no Python files of the repositories that their configs name."""
-PLUGINS = {"obact": "lerobot_policy_obact"} | dict.fromkeys(("actiontokens", "upvla"), "lerobot_policy_actiontokens")
+PLUGINS = {"obact": "lerobot_policy_obact"} | dict.fromkeys(
+    ("actiontokens", "upvla"), "lerobot_policy_actiontokens"
+)
 """Our distribution that brings a policy type."""
 STEPS = ("lerobot.policies.", "lerobot.processor.")
 LOADING_STEPS = "lerobot.processor.hil_processor"
-"""Modules whose processor steps a checkpoint may name without ``--trust``, and one of which loads a second one."""
-LARGEST = {"resize|^num_.*step|iterations": 1024, "shape|chunk|horizon|samples|n_(obs|action)_steps": 10**4, "": 10**7}
-"""Largest number in the config of a policy, by what its key holds: what is repeated or made larger for each action."""
+"""Modules whose processor steps a checkpoint may name without ``--trust``, and one of which loads a
+second one."""
+LARGEST = {
+    "resize|^num_.*step|iterations": 1024,
+    "shape|chunk|horizon|samples|n_(obs|action)_steps": 10**4,
+    "": 10**7,
+}
+"""Largest number in the config of a policy, by what its key holds: what is repeated or made larger
+for each action."""
 LARGEST_EPS = 0.01
 """Largest number that a normaliser adds to a deviation."""
-FLOATS, OTHERS = ("F64", "F32", "F16", "BF16"), {"int64": "I64", "int32": "I32", "uint8": "U8", "bool": "BOOL"}
-"""Types in a file of weights: those that stand for each other, and those of tensors of torch's other types."""
+FLOATS, OTHERS = (
+    ("F64", "F32", "F16", "BF16"),
+    {"int64": "I64", "int32": "I32", "uint8": "U8", "bool": "BOOL"},
+)
+"""Types in a file of weights: those that stand for each other, and those of tensors of torch's
+other types."""
 FACTOR, TENSORS, ELEMENTS = 4, 1000, 10**6
-"""A policy may make this many times what its file holds, and so many more: Pi makes its embedding four times."""
+"""A policy may make this many times what its file holds, and so many more: Pi makes its embedding
+four times."""
 STATISTICS = {
     "MEAN_STD": ("mean", "std"),
     "MIN_MAX": ("min", "max"),
@@ -69,33 +95,45 @@ CODE_KEYS = {
 }
 """Keys by which transformers is told, at any depth, to run Python files of a repository."""
 PICKLES = (".bin", ".pt", ".pth", ".pkl", ".ckpt")
-"""Suffixes of files that Python unpickles, which runs what they hold; LeRobot's own checkpoints have none."""
-REMEDY = "give a pretrained_model folder, a Hub repository (user/name), or a baseline that `dynahoi list experts` names"
+"""Suffixes of files that Python unpickles, which runs what they hold; LeRobot's own checkpoints
+have none."""
+REMEDY = (
+    "give a pretrained_model folder, a Hub repository (user/name), or a baseline that "
+    "`dynahoi list experts` names"
+)
 
 
 class PolicyError(ReadError):
-    """A policy that cannot be loaded, or could run code while it is; the message says what in it, and what would do."""
+    """A policy that cannot be loaded, or could run code while it is; the message says what in it,
+    and what would do.
+    """
 
 
 def checked_folder(path: str, *, trust: bool = False) -> Path:
-    """Return the folder of a checkpoint, downloaded from the Hub if need be, once nothing in it could run code.
+    """Return the folder of a checkpoint, downloaded from the Hub if need be, once nothing in it
+    could run code.
 
-    The JSON files of a Hub repository are downloaded and checked first; its weights then come from the same commit.
+    The JSON files of a Hub repository are downloaded and checked first; its weights then come from
+    the same commit.
 
     Args:
         path: a ``pretrained_model`` folder, or a Hub repository id.
         trust: print what could run instead of refusing it.
 
     Raises:
-        PolicyError: if there is no such policy, a file of it cannot be read, or loading it could run code, unless
-            ``trust`` allows that.
+        PolicyError: if there is no such policy, a file of it cannot be read, or loading it could
+            run code, unless ``trust`` allows that.
     """
     described = described_folder(path)
     if not (described / CONFIG).exists():
-        raise PolicyError(f"{described} holds no policy (no {CONFIG}){hint_at_checkpoint(described)}")
+        raise PolicyError(
+            f"{described} holds no policy (no {CONFIG}){hint_at_checkpoint(described)}"
+        )
     for finding in _findings(described):
         if not trust:
-            raise PolicyError(f"{finding}; give --trust only if you would run a program from the same source")
+            raise PolicyError(
+                f"{finding}; give --trust only if you would run a program from the same source"
+            )
         print(f"--trust: {finding}", file=sys.stderr)
     if os.path.isdir(path):
         return described
@@ -127,8 +165,8 @@ def load_policy(
         trust: let transformers run Python files of the repositories that the config names.
 
     Raises:
-        PolicyError: if LeRobot cannot load it, its weights are not exactly those of its policy, or a normaliser lacks
-            statistics.
+        PolicyError: if LeRobot cannot load it, its weights are not exactly those of its policy, or
+            a normaliser lacks statistics.
     """
     from lerobot.policies.factory import get_policy_class, make_pre_post_processors
 
@@ -137,16 +175,28 @@ def load_policy(
         config.device = device or config.device
         stored = tensor_types(folder / WEIGHTS)
         for file in sorted({*folder.glob("*.safetensors")} - {folder / WEIGHTS}):
-            if odd := [name for name, (kind, _) in tensor_types(file).items() if kind not in (*FLOATS, "I64")]:
-                raise PolicyError(f"{file} holds {odd[0]!r}, which is no number that statistics have")
+            if odd := [
+                name
+                for name, (kind, _) in tensor_types(file).items()
+                if kind not in (*FLOATS, "I64")
+            ]:
+                raise PolicyError(
+                    f"{file} holds {odd[0]!r}, which is no number that statistics have"
+                )
         overrides = {"device_processor": {"device": str(config.device)}}
         try:
             with _no_larger(stored):
-                policy = get_policy_class(config.type).from_pretrained(str(folder), config=config).eval()
-            pipelines = make_pre_post_processors(config, pretrained_path=str(folder), preprocessor_overrides=overrides)
+                policy = (
+                    get_policy_class(config.type).from_pretrained(str(folder), config=config).eval()
+                )
+            pipelines = make_pre_post_processors(
+                config, pretrained_path=str(folder), preprocessor_overrides=overrides
+            )
         except PolicyError:
             raise
-        except Exception as error:  # whatever a policy or a processor raises when it is made from a bad checkpoint
+        except (
+            Exception
+        ) as error:  # whatever a policy or a processor raises when it is made from a bad checkpoint
             raise PolicyError(f"{folder} cannot be loaded: {reason(error)}") from error
     _check_fit(policy.state_dict(), stored, folder)
     for name, pipeline in zip(PIPELINES, pipelines, strict=True):
@@ -160,38 +210,52 @@ def folder_weights(folder: Path) -> dict[str, str]:
 
 
 def trained_for(folder: Path) -> dict[str, Any]:
-    """Return what a checkpoint tells of the rules it was trained for: the values of some fields of `Recipe`.
+    """Return what a checkpoint tells of the rules it was trained for: the values of some fields of
+    `Recipe`.
 
-    ``image_size`` [px] is that of the config's cameras, ``control_mode`` follows from the size of its actions. A policy
-    of what the eye sees, told by the size of its input, needs the images that the eye learned from.
-    ``capture``, ``control_class`` and ``protocol`` come from the recipe of the dataset that ``train_config.json``
-    names, if that is on this machine, or else from its ``env``.
+    ``image_size`` [px] is that of the config's cameras, ``control_mode`` follows from the size of
+    its actions. A policy of what the eye sees, told by the size of its input, needs the images that
+    the eye learned from. ``capture``, ``control_class`` and ``protocol`` come from the recipe of
+    the dataset that ``train_config.json`` names, if that is on this machine, or else from its
+    ``env``.
     """
-    config, training = (read_object(file) if (file := folder / name).exists() else {} for name in (CONFIG, TRAINING))
+    config, training = (
+        read_object(file) if (file := folder / name).exists() else {} for name in (CONFIG, TRAINING)
+    )
     with reading(folder / (TRAINING if training else CONFIG)):
         env, root = training.get("env") or {}, (training.get("dataset") or {}).get("root")
         rules = _recipe_of(root) or (env if env.get("type") == "dynahoi" else {})
-        told = {key: rules[key] for key in ("capture", "control_class", "protocol") if rules.get(key)}
+        told = {
+            key: rules[key] for key in ("capture", "control_class", "protocol") if rules.get(key)
+        }
         require(told, dict.fromkeys(told, str))
         inputs = config.get("input_features", {})
-        if camera := next((feature for key, feature in inputs.items() if key.startswith(IMAGE_PREFIX)), None):
+        if camera := next(
+            (feature for key, feature in inputs.items() if key.startswith(IMAGE_PREFIX)), None
+        ):
             told["image_size"] = camera["shape"][-1]
         if (state := inputs.get(ENVIRONMENT_STATE)) and environment_state_of(state["shape"]) == EYE:
             told |= {"environment_state": EYE, "image_size": DETECTOR_IMAGE_SIZE_PX}
-        if config.get("output_features", {}).get("action", {}).get("shape") == [len(CONTROL_MODES[GRASP])]:
+        if config.get("output_features", {}).get("action", {}).get("shape") == [
+            len(CONTROL_MODES[GRASP])
+        ]:
             told["control_mode"] = GRASP
     return told
 
 
 def hint_at_checkpoint(folder: Path) -> str:
-    """Return the end of a message about a folder that is no checkpoint; empty if there is none below it."""
+    """Return the end of a message about a folder that is no checkpoint; empty if there is none
+    below it.
+    """
     nested = sorted(folder.glob(f"**/pretrained_model/{CONFIG}"))
     return f"; did you mean {nested[-1].parent}?" if nested else ""
 
 
 def _recipe_of(root: str | None) -> dict[str, Any]:
     """Return the recipe of the dataset in ``root``, as far as there is one."""
-    from dynahoi_lerobot.dataset.manifest import Manifest  # whose package brings in PyAV, which only checkpoints need
+    from dynahoi_lerobot.dataset.manifest import (
+        Manifest,
+    )  # whose package brings in PyAV, which only checkpoints need
 
     with suppress(ReadError):
         return Manifest.read(Path(root)).provenance.get("recipe") or {} if root else {}
@@ -203,14 +267,19 @@ def _download(repository: str, patterns: list[str], revision: str | None = None)
 
     try:
         folder = huggingface_hub.snapshot_download(
-            repository, revision=revision, allow_patterns=patterns, ignore_patterns=["*training_state*"]
+            repository,
+            revision=revision,
+            allow_patterns=patterns,
+            ignore_patterns=["*training_state*"],
         )
     except Exception as error:
-        raise PolicyError(f"there is no policy {repository!r} ({type(error).__name__}); {REMEDY}") from error
+        raise PolicyError(
+            f"there is no policy {repository!r} ({type(error).__name__}); {REMEDY}"
+        ) from error
     return Path(folder)
 
 
-# -- what could run ---------------------------------------------------------------------------------------------------
+# -- what could run --------------------------------------------------------------------------------
 
 
 def _findings(folder: Path) -> Iterator[str]:
@@ -222,7 +291,10 @@ def _findings(folder: Path) -> Iterator[str]:
             held = {key for key, value in _entries(read_json(file)) if key == "auto_map" or value}
             yield from (f"{file} {problem}" for key, problem in CODE_KEYS.items() if key in held)
     if (kind := str(read_object(folder / CONFIG).get("type"))) not in POLICY_TYPES:
-        yield f"{folder / CONFIG} is of type {kind!r}, which is not on the list of policies known to be safe"
+        yield (
+            f"{folder / CONFIG} is of type {kind!r}, which is not on the list of policies "
+            f"known to be safe"
+        )
     _register_steps(kind)
     for file in (folder / name for name in PIPELINES):
         if file.exists():
@@ -233,7 +305,9 @@ def _entries(content: Any, key: str = "") -> Iterator[tuple[str, Any]]:
     """Yield every value of JSON at any depth, with the key that it is below."""
     yield key, content
     if isinstance(content, dict | list):
-        for name, value in content.items() if isinstance(content, dict) else ((key, value) for value in content):
+        for name, value in (
+            content.items() if isinstance(content, dict) else ((key, value) for value in content)
+        ):
             yield from _entries(value, name)
 
 
@@ -243,7 +317,9 @@ def _register_steps(kind: str) -> None:
         from lerobot.policies.factory import get_policy_class
         from lerobot.utils.import_utils import register_third_party_plugins
     except ImportError as error:
-        raise PolicyError(f"playing a policy needs LeRobot ({error}); install dynahoi_lerobot[lerobot]") from error
+        raise PolicyError(
+            f"playing a policy needs LeRobot ({error}); install dynahoi_lerobot[lerobot]"
+        ) from error
     register_third_party_plugins()
     with suppress(Exception):  # loading it will say what is wrong with the type
         get_policy_class(kind)
@@ -255,7 +331,9 @@ def _pipeline_findings(file: Path) -> Iterator[str]:
     for step in read_object(file, {"steps": list[dict[str, Any]]})["steps"]:
         name, config = step.get("registry_name", step.get("class")), step.get("config", {})
         if not isinstance(config, dict):
-            raise PolicyError(f"{file} gives the step {name!r} the config {config!r}, which is no mapping")
+            raise PolicyError(
+                f"{file} gives the step {name!r} the config {config!r}, which is no mapping"
+            )
         known = str(step.get("registry_name")) in ProcessorStepRegistry.list()
         kind: Any = ProcessorStepRegistry.get(step["registry_name"]) if known else object
         if not kind.__module__.startswith(STEPS) or kind.__module__ == LOADING_STEPS:
@@ -275,14 +353,19 @@ def _pipeline_findings(file: Path) -> Iterator[str]:
 
 @contextmanager
 def _remote_code(*, allowed: bool) -> Iterator[None]:
-    """Close the door through which transformers, if it is installed, runs Python files of repositories or asks to."""
+    """Close the door through which transformers, if it is installed, runs Python files of
+    repositories or asks to.
+    """
     if allowed or not find_spec("transformers"):
         yield
         return
     from transformers import dynamic_module_utils as door
 
     def refuse(name: str, *_: object, **__: object) -> None:
-        raise PolicyError(f"it names {name!r}, which would run code of its own; give --trust if you would run that")
+        raise PolicyError(
+            f"it names {name!r}, which would run code of its own; give --trust if you would "
+            f"run that"
+        )
 
     opened, asking = door.get_cached_module_file, door.TIME_OUT_REMOTE_CODE
     door.get_cached_module_file, door.TIME_OUT_REMOTE_CODE = refuse, 0
@@ -292,7 +375,7 @@ def _remote_code(*, allowed: bool) -> Iterator[None]:
         door.get_cached_module_file, door.TIME_OUT_REMOTE_CODE = opened, asking
 
 
-# -- what does not fit ------------------------------------------------------------------------------------------------
+# -- what does not fit -----------------------------------------------------------------------------
 
 
 def _config(folder: Path, settings: Sequence[str]) -> Any:
@@ -304,15 +387,24 @@ def _config(folder: Path, settings: Sequence[str]) -> Any:
         high = next(most for part, most in LARGEST.items() if re.search(part, key))
         low = 1 if key == "shape" else -high
         if isinstance(value, int | float) and not low <= value <= high:
-            raise PolicyError(f"{folder / CONFIG} says {key} is {value}; it must be {low} to {high}")
+            raise PolicyError(
+                f"{folder / CONFIG} says {key} is {value}; it must be {low} to {high}"
+            )
     if (kind := told.get("type")) not in PreTrainedConfig.get_known_choices():
         package = PLUGINS.get(str(kind), f"lerobot_policy_{kind}")
-        raise PolicyError(f"{folder / CONFIG} is of type {kind!r}, which is not installed: install {package}")
+        raise PolicyError(
+            f"{folder / CONFIG} is of type {kind!r}, which is not installed: install {package}"
+        )
     choice = PreTrainedConfig.get_choice_class(str(kind))
     hints = get_type_hints(choice)
-    usual = {entry.name: entry.default for entry in fields(choice)}  # which need not be of the declared type
+    usual = {
+        entry.name: entry.default for entry in fields(choice)
+    }  # which need not be of the declared type
     with reading(folder / CONFIG):
-        require(told, {name: hints[name] for name in told if name in hints and told[name] != usual.get(name)})
+        require(
+            told,
+            {name: hints[name] for name in told if name in hints and told[name] != usual.get(name)},
+        )
     try:
         config = PreTrainedConfig.from_pretrained(str(folder))
     except Exception as error:
@@ -321,16 +413,24 @@ def _config(folder: Path, settings: Sequence[str]) -> Any:
     for setting in settings:
         key, equals, _ = setting.partition("=")
         if not equals or key not in known:
-            raise PolicyError(f"cannot set {setting!r}: must be KEY=VALUE, KEY one of {', '.join(known)}")
+            raise PolicyError(
+                f"cannot set {setting!r}: must be KEY=VALUE, KEY one of {', '.join(known)}"
+            )
     try:
-        return config.from_pretrained(str(folder), cli_overrides=[f"--{setting}" for setting in settings])
+        return config.from_pretrained(
+            str(folder), cli_overrides=[f"--{setting}" for setting in settings]
+        )
     except Exception as error:
-        raise PolicyError(f"cannot set {', '.join(settings)}: {error.__cause__ or error}") from error
+        raise PolicyError(
+            f"cannot set {', '.join(settings)}: {error.__cause__ or error}"
+        ) from error
 
 
 @contextmanager
 def _no_larger(stored: Mapping[str, tuple[str, tuple[int, ...]]]) -> Iterator[None]:
-    """Refuse to make a policy larger than its file; a parameter is counted before anything is written into it."""
+    """Refuse to make a policy larger than its file; a parameter is counted before anything is
+    written into it.
+    """
     from torch.nn.modules.module import register_module_parameter_registration_hook
 
     held = sum(prod(shape) for _, shape in stored.values())
@@ -339,8 +439,13 @@ def _no_larger(stored: Mapping[str, tuple[str, tuple[int, ...]]]) -> Iterator[No
     def count(_: object, __: str, tensor: Any) -> None:
         made["tensors"] += 1
         made["elements"] += 0 if tensor is None else tensor.numel()
-        if made["tensors"] > FACTOR * len(stored) + TENSORS or made["elements"] > FACTOR * held + ELEMENTS:
-            raise PolicyError(f"{CONFIG} describes a larger policy than the {held} weights of {WEIGHTS}")
+        if (
+            made["tensors"] > FACTOR * len(stored) + TENSORS
+            or made["elements"] > FACTOR * held + ELEMENTS
+        ):
+            raise PolicyError(
+                f"{CONFIG} describes a larger policy than the {held} weights of {WEIGHTS}"
+            )
 
     hook = register_module_parameter_registration_hook(count)
     before = logging.root.manager.disable
@@ -353,28 +458,52 @@ def _no_larger(stored: Mapping[str, tuple[str, tuple[int, ...]]]) -> Iterator[No
         hook.remove()
 
 
-def _check_fit(state: Mapping[str, Any], types: Mapping[str, tuple[str, tuple[int, ...]]], folder: Path) -> None:
-    """Refuse weights that are missing, surplus or of another shape or kind; of tied weights a file holds one."""
-    wanted = {name.removeprefix("model."): tensor for name, tensor in state.items()}  # as LeRobot's Pi policies do
+def _check_fit(
+    state: Mapping[str, Any], types: Mapping[str, tuple[str, tuple[int, ...]]], folder: Path
+) -> None:
+    """Refuse weights that are missing, surplus or of another shape or kind; of tied weights a file
+    holds one.
+    """
+    wanted = {
+        name.removeprefix("model."): tensor for name, tensor in state.items()
+    }  # as LeRobot's Pi policies do
     stored = {name.removeprefix("model."): kind for name, kind in types.items()}
     tied = {tensor.data_ptr() for name, tensor in wanted.items() if name in stored}
-    missing = [name for name, tensor in wanted.items() if name not in stored and tensor.data_ptr() not in tied]
+    missing = [
+        name
+        for name, tensor in wanted.items()
+        if name not in stored and tensor.data_ptr() not in tied
+    ]
     surplus = [name for name in stored if name not in wanted]
     both = [(name, wanted[name], *stored[name]) for name in stored if name in wanted]
     misshapen = [name for name, tensor, _, shape in both if tuple(tensor.shape) != shape]
     mistyped = [name for name, tensor, kind, _ in both if not _fits_type(tensor, kind)]
-    wrong = {"lacks": missing, "has surplus": surplus, "has misshapen": misshapen, "has mistyped": mistyped}
+    wrong = {
+        "lacks": missing,
+        "has surplus": surplus,
+        "has misshapen": misshapen,
+        "has mistyped": mistyped,
+    }
     for what, names in wrong.items():
         if names:
-            raise PolicyError(f"{folder / WEIGHTS} {what} weights for its config: {len(names)}, such as {names[0]}")
+            raise PolicyError(
+                f"{folder / WEIGHTS} {what} weights for its config: {len(names)}, such as "
+                f"{names[0]}"
+            )
 
 
 def _fits_type(tensor: Any, kind: str) -> bool:
-    return kind in FLOATS if tensor.is_floating_point() else kind == OTHERS.get(str(tensor.dtype).partition(".")[2])
+    return (
+        kind in FLOATS
+        if tensor.is_floating_point()
+        else kind == OTHERS.get(str(tensor.dtype).partition(".")[2])
+    )
 
 
 def _check_statistics(file: Path, pipeline: Any, config: Any) -> None:
-    """Refuse a pipeline that normalises a feature without its statistics, or not as the config of its policy says."""
+    """Refuse a pipeline that normalises a feature without its statistics, or not as the config of
+    its policy says.
+    """
     normalised: dict[str, str] = {}
     known = (config.input_features or {}) | (config.output_features or {})
     for step in (step for step in pipeline.steps if hasattr(step, "norm_map")):
@@ -382,7 +511,9 @@ def _check_statistics(file: Path, pipeline: Any, config: Any) -> None:
             raise PolicyError(f"{file} says eps is {eps}; it must be 0 to {LARGEST_EPS}")
         for key, feature in getattr(step, "features", {}).items():
             if key in known and tuple(feature.shape) != tuple(known[key].shape):
-                raise PolicyError(f"{file} says {key} has shape {feature.shape}, and {CONFIG} {known[key].shape}")
+                raise PolicyError(
+                    f"{file} says {key} has shape {feature.shape}, and {CONFIG} {known[key].shape}"
+                )
             mode = getattr(step.norm_map.get(feature.type), "value", "IDENTITY")
             chosen = getattr(step, "normalize_observation_keys", None)
             if mode == "IDENTITY" or (chosen is not None and key not in (*chosen, "action")):
@@ -390,17 +521,24 @@ def _check_statistics(file: Path, pipeline: Any, config: Any) -> None:
             normalised[key] = mode
             for name in STATISTICS[mode]:
                 if (values := step.stats.get(key, {}).get(name)) is None:
-                    raise PolicyError(f"{file} normalises {key}, and its statistics lack the {name} of that")
+                    raise PolicyError(
+                        f"{file} normalises {key}, and its statistics lack the {name} of that"
+                    )
                 shape, fits = tuple(feature.shape), False
                 with suppress(ValueError):
                     fits = np.broadcast_shapes(np.shape(values), shape) == shape
                 if not (fits and np.isfinite(values).all()):
-                    raise PolicyError(f"{file} normalises {key} by a {name} that is not finite, or not of its shape")
+                    raise PolicyError(
+                        f"{file} normalises {key} by a {name} that is not finite, or not of its "
+                        f"shape"
+                    )
     needed = config.output_features if "post" in file.name else config.input_features
     for key, feature in needed.items():
         mode = getattr(config.normalization_mapping.get(feature.type.value), "value", "IDENTITY")
         if mode != normalised.get(key, "IDENTITY"):
-            raise PolicyError(f"{file} normalises {key} by {normalised.get(key)}, and {CONFIG} says {mode}")
+            raise PolicyError(
+                f"{file} normalises {key} by {normalised.get(key)}, and {CONFIG} says {mode}"
+            )
 
 
 def reason(error: BaseException) -> str:

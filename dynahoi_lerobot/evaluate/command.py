@@ -23,7 +23,13 @@ from dynahoi_lerobot.evaluate.arguments import TRAINED_FOR, TRUST, VLM, make_act
 from dynahoi_lerobot.evaluate.results import Results, RunInfo, kept_results, read_results
 from dynahoi_lerobot.evaluate.table import kind_table, results_table
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.rollout.inference import INFERENCE_MODES, MAX_LATENCY_MS, SYNC, Inference, RealTimeAgent
+from dynahoi_lerobot.rollout.inference import (
+    INFERENCE_MODES,
+    MAX_LATENCY_MS,
+    SYNC,
+    Inference,
+    RealTimeAgent,
+)
 from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.recipe import PLAYING, Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
@@ -45,30 +51,39 @@ class Options:
     """Of ``dynahoi evaluate``."""
 
     replay: Path | None = option(
-        None, "re-execute the commands of a result folder and compare all numbers", metavar="RESULTS", either=True
+        None,
+        "re-execute the commands of a result folder and compare all numbers",
+        metavar="RESULTS",
+        either=True,
     )
     policy: str = option(
         "",
-        f"checkpoint folder, Hub repository, vlm, or a privileged baseline: expert, {', '.join(EXPERTS.names())}",
+        f"checkpoint folder, Hub repository, vlm, or a privileged baseline: expert, "
+        f"{', '.join(EXPERTS.names())}",
         either=True,
     )
     split: str = option(SMALL_TEST, "test, test_small, val, twins or one of the ood_ splits")
     out: Path | None = option(None, "result folder; an incomplete one is resumed")
     episodes: int | None = option(
-        None, "number of episodes: the first of the split, or random ones with --replay; all by default"
+        None,
+        "number of episodes: the first of the split, or random ones with --replay; all by default",
     )
     replay_seed: int | None = option(
-        None, "with --replay: seed of the draw, as printed by an earlier replay", whole(0, 2**32 - 1)
+        None,
+        "with --replay: seed of the draw, as printed by an earlier replay",
+        whole(0, 2**32 - 1),
     )
     rules: dict[str, Any] = given_of(
         Recipe,
         {*PLAYING} - {"split", "views"},
-        environment_state=f"by default what the policy reads; {TRUTH} must be given, and makes it privileged",
+        environment_state=f"by default what the policy reads; {TRUTH} must be given, and makes "
+        f"it privileged",
         **TRAINED_FOR,
     )
     batch_size: int = option(
         32,
-        "worlds simulated in parallel, without effect on the results of baselines and ObAct; 1 for policies with "
+        "worlds simulated in parallel, without effect on the results of baselines and ObAct; 1 "
+        "for policies with "
         "--inference-ms measured",
         whole(1, 4096),
     )
@@ -78,25 +93,33 @@ class Options:
     trust: bool = option(False, TRUST)
     set: list[str] = option(
         list,
-        "override a field of the policy's config, such as n_action_steps=2; dictionaries as JSON; may be repeated",
+        "override a field of the policy's config, such as n_action_steps=2; dictionaries as "
+        "JSON; may be repeated",
         metavar="KEY=VALUE",
     )
     inference: str = option(
-        SYNC, "; ".join(f"{mode}: {meaning}" for mode, meaning in INFERENCE_MODES.items()), choices=INFERENCE_MODES
+        SYNC,
+        "; ".join(f"{mode}: {meaning}" for mode, meaning in INFERENCE_MODES.items()),
+        choices=INFERENCE_MODES,
     )
     inference_ms: float | None = option(
         0.0,
-        "with --inference async or rtc: inference time [ms], or measured for the time on this machine",
+        "with --inference async or rtc: inference time [ms], or measured for the time on this "
+        "machine",
         _latency,
         metavar="MS",
     )
     model: str | None = option(None, "with --policy vlm: model name at the endpoint")
     prompt: str = option(DEFAULT_PROMPT, f"with --policy vlm: prompt, {' or '.join(PROMPTS)}")
     base_url: str | None = option(
-        None, "with --policy vlm: URL of an OpenAI-compatible endpoint; its key is read from OPENAI_API_KEY"
+        None,
+        "with --policy vlm: URL of an OpenAI-compatible endpoint; its key is read from "
+        "OPENAI_API_KEY",
     )
     request_timeout: float = option(
-        60.0, "with --policy vlm: time limit of a decision with all its requests [s]", number(0.001, 86_400.0)
+        60.0,
+        "with --policy vlm: time limit of a decision with all its requests [s]",
+        number(0.001, 86_400.0),
     )
 
 
@@ -105,7 +128,9 @@ def run(options: Options) -> int:
     if options.replay_seed is not None and not options.replay:
         raise ValueError(f"--replay-seed {options.replay_seed} is for --replay RESULTS")
     if options.replay:
-        return replay_results.run(options.replay, options.rules.get("salt", ""), options.episodes, options.replay_seed)
+        return replay_results.run(
+            options.replay, options.rules.get("salt", ""), options.episodes, options.replay_seed
+        )
     if options.gifs and not options.out:
         raise ValueError(f"--gifs {options.gifs} needs --out, the folder to write them to")
     if options.policy != VLM:
@@ -115,7 +140,10 @@ def run(options: Options) -> int:
     rules = playing_rules(options.rules, actor)
     recipe = Recipe(split=options.split, views=actor.views, **rules)
     if inference.mode != SYNC and recipe.control_mode != JOINTS:
-        raise ValueError(f"--inference {inference.mode} needs control_mode {JOINTS!r}, got {recipe.control_mode!r}")
+        raise ValueError(
+            f"--inference {inference.mode} needs control_mode {JOINTS!r}, got "
+            f"{recipe.control_mode!r}"
+        )
     info = RunInfo.begun(
         actor.name if options.policy == VLM else options.policy,
         recipe,
@@ -134,7 +162,9 @@ def run(options: Options) -> int:
                 results.write()
     print(results_table([results]))
     if options.policy == VLM:
-        print("\n" + ", ".join(f"{name} {value}" for name, value in info.extra.get(VLM, {}).items()))
+        print(
+            "\n" + ", ".join(f"{name} {value}" for name, value in info.extra.get(VLM, {}).items())
+        )
     if options.per_kind:
         print("\n" + kind_table(results).as_text())
     return 0
@@ -153,14 +183,19 @@ def _real_time(actor: Actor, inference: Inference) -> Actor:
     if inference.mode == SYNC:
         return actor
     if not isinstance(actor, ChunkAgent):
-        raise ValueError(f"--inference {inference.mode} needs a policy that plans chunks; {actor.name!r} is an expert")
+        raise ValueError(
+            f"--inference {inference.mode} needs a policy that plans chunks; {actor.name!r} is "
+            f"an expert"
+        )
     return RealTimeAgent(actor, inference)
 
 
 def _batch_size(options: Options, inference: Inference) -> int:
-    """Return how many worlds are played together: one where the time of a LeRobot policy's inference is measured.
+    """Return how many worlds are played together: one where the time of a LeRobot policy's
+    inference is measured.
 
-    Such a policy infers for all worlds at once, which takes longer than for one robot. VLMs are asked world by world.
+    Such a policy infers for all worlds at once, which takes longer than for one robot. VLMs are
+    asked world by world.
     """
     measured = inference.mode != SYNC and inference.latency_ms is None
     return 1 if measured and options.policy != VLM else options.batch_size
@@ -176,11 +211,16 @@ def _actor(options: Options) -> Actor:
     shown = options.rules.get("environment_state")
     if actor.environment_state == TRUTH and shown is None:
         raise ValueError(
-            f"{options.policy} reads {ENVIRONMENT_STATE}, the simulator's truth; add --environment-state {TRUTH} to "
+            f"{options.policy} reads {ENVIRONMENT_STATE}, the simulator's truth; add "
+            f"--environment-state {TRUTH} to "
             "let it: its results are then marked as privileged"
         )
     if shown is not None and shown != actor.environment_state:
-        needed = f"--environment-state {actor.environment_state}" if actor.environment_state else "none; leave it out"
+        needed = (
+            f"--environment-state {actor.environment_state}"
+            if actor.environment_state
+            else "none; leave it out"
+        )
         raise ValueError(f"--environment-state is {shown!r}, but {options.policy} needs {needed}")
     return actor
 
@@ -190,16 +230,23 @@ def _vlm(options: Options) -> Agent:
     from dynahoi_lerobot.vlm.agent import VlmAgent, VlmClient
 
     if not options.model:
-        raise ValueError("--policy vlm needs --model NAME, and --base-url URL unless the model is OpenAI's")
+        raise ValueError(
+            "--policy vlm needs --model NAME, and --base-url URL unless the model is OpenAI's"
+        )
     recipe = Recipe(split=options.split, **options.rules)
     if PROTOCOLS[recipe.protocol].blind_control:
-        raise ValueError(f"--policy vlm decides by what it sees while acting, which is nothing under {recipe.protocol}")
+        raise ValueError(
+            f"--policy vlm decides by what it sees while acting, which is nothing under "
+            f"{recipe.protocol}"
+        )
     client = VlmClient(
         options.model,
         options.base_url,
         timeout_s=options.request_timeout,
         prompt=options.prompt,
-        palm_speed_m_s=CAPTURES[recipe.capture].palm_speed_m_s(CONTROL_CLASSES[recipe.control_class]),
+        palm_speed_m_s=CAPTURES[recipe.capture].palm_speed_m_s(
+            CONTROL_CLASSES[recipe.control_class]
+        ),
         log=options.out / "vlm.jsonl" if options.out else None,
     )
     return VlmAgent(client, name=f"vlm:{options.model}:{options.prompt}")
@@ -211,7 +258,8 @@ def _specs(options: Options, recipe: Recipe, played: set[int]) -> list[EpisodeSp
     if options.episodes is not None:
         if not 1 <= options.episodes <= len(seeds):
             raise ValueError(
-                f"--episodes must be 1 to {len(seeds)}, all of split {options.split}; got {options.episodes}"
+                f"--episodes must be 1 to {len(seeds)}, all of split {options.split}; got "
+                f"{options.episodes}"
             )
         seeds = seeds[: options.episodes]
     return sample_specs(recipe, [seed for seed in seeds if seed not in played], threads=0)
@@ -220,21 +268,29 @@ def _specs(options: Options, recipe: Recipe, played: set[int]) -> list[EpisodeSp
 def _played(
     options: Options, recipe: Recipe, actor: Actor, specs: list[EpisodeSpec], size: int
 ) -> Iterator[list[Episode]]:
-    """Play ``specs`` and yield episodes in batches of ``size``, without images; the first are written as GIFs."""
+    """Play ``specs`` and yield episodes in batches of ``size``, without images; the first are
+    written as GIFs.
+    """
     if not specs:
         return
     batch = WorldBatch(recipe, min(size, len(specs)))
     gifs = options.gifs
-    with tqdm(total=len(specs), desc=f"{options.policy} on {options.split}", unit="episode") as progress:
+    with tqdm(
+        total=len(specs), desc=f"{options.policy} on {options.split}", unit="episode"
+    ) as progress:
         for group in batched(specs, size):
-            if len(group) < batch.size:  # a policy's noise depends on the number of worlds, also when it is resumed
+            if (
+                len(group) < batch.size
+            ):  # a policy's noise depends on the number of worlds, also when it is resumed
                 batch = WorldBatch(recipe, len(group))
             played = []
             for episode in evaluate(batch, actor, group, images=gifs > 0):
                 if gifs > 0 and options.out:
                     from dynahoi_lerobot.evaluate.gif import episode_gif  # which brings in OpenCV
 
-                    episode_gif(options.out / f"{episode.meta.motion}_{episode.meta.seed}.gif", episode)
+                    episode_gif(
+                        options.out / f"{episode.meta.motion}_{episode.meta.seed}.gif", episode
+                    )
                     gifs -= 1
                 played.append(replace(episode, images={}))
                 progress.update()

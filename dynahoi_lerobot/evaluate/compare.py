@@ -1,4 +1,6 @@
-"""Paired comparison of two evaluations on the same episodes: difference, confidence interval and p-value."""
+"""Paired comparison of two evaluations on the same episodes: difference, confidence interval and
+p-value.
+"""
 
 import math
 from collections.abc import Collection
@@ -25,7 +27,8 @@ COMMANDS = "commands"
 
 @dataclass(frozen=True)
 class Comparison(Estimate):
-    """The mean of A - B over the episodes that both played, with the paired bootstrap's 95 % interval.
+    """The mean of A - B over the episodes that both played, with the paired bootstrap's 95 %
+    interval.
 
     Of ``commands`` it is the mean distance, in cm.
 
@@ -40,33 +43,51 @@ class Comparison(Estimate):
 
 
 def unequal_conditions(a: Results, b: Results, across: Collection[str] = ()) -> list[str]:
-    """Return the conditions in which two evaluations differ, without those that are compared, ``across``."""
+    """Return the conditions in which two evaluations differ, without those that are compared,
+    ``across``.
+    """
     return [name for name in CONDITIONS if name not in across and a.rules[name] != b.rules[name]]
 
 
 def compare(
-    a: Results, b: Results, metric: str, *, across: Collection[str] = (), allow_version_mismatch: bool = False
+    a: Results,
+    b: Results,
+    metric: str,
+    *,
+    across: Collection[str] = (),
+    allow_version_mismatch: bool = False,
 ) -> Comparison | None:
-    """Compare two evaluations on one metric, episode by episode; None if no episode has a value of both.
+    """Compare two evaluations on one metric, episode by episode; None if no episode has a value of
+    both.
 
     Args:
         a, b: the evaluations.
         metric: name of a registered metric, or ``commands``.
         across: conditions that may differ, of ``CROSSABLE``: what is compared.
-        allow_version_mismatch: compare them even if they were played under different versions of the benchmark.
+        allow_version_mismatch: compare them even if they were played under different versions of
+            the benchmark.
 
     Raises:
         UnknownNameError: if the metric is not registered.
-        ValueError: if another condition or the version differs, naming both values; always for different salts.
+        ValueError: if another condition or the version differs, naming both values; always for
+            different salts.
     """
     refuse_mixed_streams((result.folder, result.info.split) for result in (a, b))
     if not allow_version_mismatch:
         found = [(result.folder, result.info.benchmark) for result in (a, b)]
         refuse_to_mix("benchmark", found, "evaluate both under one version, or allow the mismatch")
     for name in unequal_conditions(a, b, across):
-        remedy = f"add --across {name} to compare exactly that" if name in CROSSABLE else "evaluate both under one"
+        remedy = (
+            f"add --across {name} to compare exactly that"
+            if name in CROSSABLE
+            else "evaluate both under one"
+        )
         refuse_to_mix(name, [(result.folder, result.rules[name]) for result in (a, b)], remedy)
-    differences = command_distances_cm(a, b) if metric == COMMANDS else -np.diff(paired_values(a, b, metric))[:, 0]
+    differences = (
+        command_distances_cm(a, b)
+        if metric == COMMANDS
+        else -np.diff(paired_values(a, b, metric))[:, 0]
+    )
     if len(differences) == 0:
         return None
     low, high = bootstrap(differences)
@@ -77,20 +98,26 @@ def compare(
 
 
 def paired_values(a: Results, b: Results, metric: str) -> np.ndarray:
-    """Return (n, 2) values of ``metric``, in its unit, in the episodes that both have played and where it applies."""
+    """Return (n, 2) values of ``metric``, in its unit, in the episodes that both have played and
+    where it applies.
+    """
     pairs = [(a.rows[i][metric], b.rows[j][metric]) for i, j in _both_played(a, b)]
     return np.array([pair for pair in pairs if None not in pair], np.float64).reshape(-1, 2)
 
 
 def command_distances_cm(a: Results, b: Results) -> np.ndarray:
-    """Return (n,) distances of the palm positions that A and B commanded [cm], of every episode that both played.
+    """Return (n,) distances of the palm positions that A and B commanded [cm], of every episode
+    that both played.
 
-    Each is a mean over the control frames that both have: an episode ends once its target is localised.
+    Each is a mean over the control frames that both have: an episode ends once its target is
+    localised.
     """
     means = []
     for i, j in _both_played(a, b):
         frames = slice(a.rows[i]["window_frames"], min(len(a.actions[i]), len(b.actions[j])))
-        apart_m = np.linalg.norm(a.actions[i][frames, :PALM_DOF] - b.actions[j][frames, :PALM_DOF], axis=1)
+        apart_m = np.linalg.norm(
+            a.actions[i][frames, :PALM_DOF] - b.actions[j][frames, :PALM_DOF], axis=1
+        )
         means.append(100 * apart_m.mean())
     return np.array(means, np.float64)
 
@@ -104,7 +131,8 @@ def _both_played(a: Results, b: Results) -> list[tuple[int, int]]:
 def mcnemar(only_a: int, only_b: int) -> float:
     """Return the exact two-sided p-value of McNemar's test from the two discordant counts.
 
-    Under the hypothesis that A and B are equally good, ``only_a`` is binomial(only_a + only_b, 1/2).
+    Under the hypothesis that A and B are equally good, ``only_a`` is binomial(only_a + only_b,
+    1/2).
     """
     discordant = only_a + only_b
     tail = sum(math.comb(discordant, k) for k in range(min(only_a, only_b) + 1))
@@ -113,16 +141,20 @@ def mcnemar(only_a: int, only_b: int) -> float:
 
 
 def sign_flip(differences: np.ndarray) -> float:
-    """Return the two-sided p-value of the paired permutation test that (n,) ``differences`` have mean 0.
+    """Return the two-sided p-value of the paired permutation test that (n,) ``differences`` have
+    mean 0.
 
-    If A and B are equally good, each difference might as well be its opposite; the p-value is the share of choices of
-    signs whose mean is as far from 0. It is exact for few episodes: of five, none is below 2 / 32.
+    If A and B are equally good, each difference might as well be its opposite; the p-value is the
+    share of choices of signs whose mean is as far from 0. It is exact for few episodes: of five,
+    none is below 2 / 32.
     """
     values, exact = np.sort(differences), 2 ** len(differences) <= RESAMPLES
     if exact:
         flipped = np.arange(2 ** len(values))[:, None] >> np.arange(len(values)) & 1  # (2^n, n)
     else:
-        flipped = np.random.default_rng(SEED).integers(2, size=(RESAMPLES, len(values)), dtype=np.int8)
+        flipped = np.random.default_rng(SEED).integers(
+            2, size=(RESAMPLES, len(values)), dtype=np.int8
+        )
     far = np.abs(values.sum() - 2 * flipped @ values) >= abs(values.sum()) * (1 - 1e-9)
     return float(far.mean() if exact else (far.sum() + 1) / (RESAMPLES + 1))
 

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from PIL import Image
 
 BORDERS = {"observing": (128, 128, 128), "acting": (30, 30, 34), "localized": (46, 160, 67)}
-"""Border colour [RGB, 0 to 255] of each phase: grey while observing, dark while acting, green once localised."""
+"""Border colour [RGB, 0 to 255] of each phase: grey while observing, dark while acting, green once
+localised."""
 
 BORDER_PX = 3
 CAPTION_PX = 16
@@ -31,14 +32,17 @@ EPISODE_PX = 192
 
 
 def episode_gif(path: Path, episode: Episode) -> None:
-    """Write the hand camera's images of one episode as a GIF at real-time speed, with motion, object and stage.
+    """Write the hand camera's images of one episode as a GIF at real-time speed, with motion,
+    object and stage.
 
     Raises:
         ValueError: if the episode has no images.
     """
     frames = episode.images.get(EGO_VIEW)
     if frames is None:
-        raise ValueError(f"the episode with seed {episode.meta.seed} holds no images; play it with a renderer")
+        raise ValueError(
+            f"the episode with seed {episode.meta.seed} holds no images; play it with a renderer"
+        )
     caption = f"{episode.meta.motion}, {episode.meta.object}: {episode.stage}"
     write_gif(path, frames, caption=caption, phases=phases_of(episode), min_width=EPISODE_PX)
 
@@ -49,12 +53,16 @@ def phases_of(episode: Episode) -> list[str]:
 
 
 def frame_phases(acting: np.ndarray, localized: np.ndarray) -> list[str]:
-    """Return the T names, given (T,) bool each: it is in the control phase, the target has been localised by then."""
+    """Return the T names, given (T,) bool each: it is in the control phase, the target has been
+    localised by then.
+    """
     return np.where(acting, np.where(localized, "localized", "acting"), "observing").tolist()
 
 
 def write_gif(path: Path, frames: np.ndarray, **options: Any) -> None:
-    """Write frames as a GIF that loops forever, whole or not at all; see ``encode_gif`` for the options."""
+    """Write frames as a GIF that loops forever, whole or not at all; see ``encode_gif`` for the
+    options.
+    """
     data = encode_gif(frames, **options)
     write_atomically({path: lambda draft: draft.write_bytes(data)})
 
@@ -71,28 +79,43 @@ def encode_gif(
 
     Args:
         frames: (T, H, W, 3) uint8 RGB.
-        fps: frames per second; the format rounds the duration of a frame to 10 ms, and one below 20 ms becomes 20 ms,
-            as viewers show it for 100 ms.
+        fps: frames per second; the format rounds the duration of a frame to 10 ms, and one below 20
+            ms becomes 20 ms, as viewers show it for 100 ms.
         caption: text for a strip under the image, cut to its width; empty leaves the strip out.
         phases: T names out of ``BORDERS``, or None for no border.
-        min_width: least width of the frames [px]; smaller ones are enlarged by a whole factor, so that pixels stay
-            crisp.
+        min_width: least width of the frames [px]; smaller ones are enlarged by a whole factor, so
+            that pixels stay crisp.
     """
     scale = max(1, -(-min_width // frames.shape[2]))
     names = phases or [None] * len(frames)
-    pages = _quantized([_page(frame, name, caption, scale) for frame, name in zip(frames, names, strict=True)])
-    options = {"save_all": True, "append_images": pages[1:], "duration": max(2, round(100 / fps)) * 10, "loop": 0}
+    pages = _quantized(
+        [_page(frame, name, caption, scale) for frame, name in zip(frames, names, strict=True)]
+    )
+    options = {
+        "save_all": True,
+        "append_images": pages[1:],
+        "duration": max(2, round(100 / fps)) * 10,
+        "loop": 0,
+    }
     buffer = io.BytesIO()
     pages[0].save(buffer, "GIF", **options)
     return buffer.getvalue()
 
 
 def _page(frame: np.ndarray, phase: str | None, caption: str, scale: int) -> np.ndarray:
-    """Return the frame enlarged, with its border and the strip for the caption, (H, W, 3) uint8 RGB."""
+    """Return the frame enlarged, with its border and the strip for the caption, (H, W, 3) uint8
+    RGB.
+    """
     page = cv2.resize(frame, None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST)
     if phase is not None:
         page = cv2.copyMakeBorder(
-            page, BORDER_PX, BORDER_PX, BORDER_PX, BORDER_PX, cv2.BORDER_CONSTANT, value=BORDERS[phase]
+            page,
+            BORDER_PX,
+            BORDER_PX,
+            BORDER_PX,
+            BORDER_PX,
+            cv2.BORDER_CONSTANT,
+            value=BORDERS[phase],
         )
     return _captioned(page, caption) if caption else page
 
@@ -101,23 +124,37 @@ def _captioned(page: np.ndarray, caption: str) -> np.ndarray:
     height, width = page.shape[:2]
     page = cv2.copyMakeBorder(page, 0, CAPTION_PX, 0, 0, cv2.BORDER_CONSTANT, value=STRIP)
     caption = caption[:width]  # no character is narrower than a pixel
-    sizes = [cv2.getTextSize(caption[:end], FONT, FONT_SCALE, 1)[0] for end in range(len(caption) + 1)]
+    sizes = [
+        cv2.getTextSize(caption[:end], FONT, FONT_SCALE, 1)[0] for end in range(len(caption) + 1)
+    ]
     fitting = [end for end, (text_width, _) in enumerate(sizes) if text_width <= width - 8]
-    shown = caption if fitting[-1] == len(caption) else caption[: max(fitting[-1] - 2, 0)].rstrip() + ".."
+    shown = (
+        caption
+        if fitting[-1] == len(caption)
+        else caption[: max(fitting[-1] - 2, 0)].rstrip() + ".."
+    )
     cv2.putText(page, shown, (4, height + 11), FONT, FONT_SCALE, INK, lineType=cv2.LINE_AA)
     return page
 
 
 def _quantized(pages: Sequence[np.ndarray]) -> list[Image.Image]:
-    """Give all pages the same colours, so that what stands still does not flicker and is stored once.
+    """Give all pages the same colours, so that what stands still does not flicker and is stored
+    once.
 
-    Pillow does this. OpenCV's own GIF encoder dithers, so that still pixels change and a small target loses its colour.
+    Pillow does this. OpenCV's own GIF encoder dithers, so that still pixels change and a small
+    target loses its colour.
     """
     from PIL import Image
 
-    few = [pages[i] for i in np.linspace(0, len(pages) - 1, min(PALETTE_PAGES, len(pages))).astype(int)]
+    few = [
+        pages[i] for i in np.linspace(0, len(pages) - 1, min(PALETTE_PAGES, len(pages))).astype(int)
+    ]
     octree = Image.Quantize.FASTOCTREE  # median cut would drop the colour of a small target
-    learned = Image.fromarray(np.vstack(few)).quantize(COLOURS - len(BORDERS), octree).getpalette() or []
+    learned = (
+        Image.fromarray(np.vstack(few)).quantize(COLOURS - len(BORDERS), octree).getpalette() or []
+    )
     palette = Image.new("P", (1, 1))
     palette.putpalette([*np.ravel(list(BORDERS.values())).tolist(), *learned])
-    return [Image.fromarray(page).quantize(palette=palette, dither=Image.Dither.NONE) for page in pages]
+    return [
+        Image.fromarray(page).quantize(palette=palette, dither=Image.Dither.NONE) for page in pages
+    ]

@@ -1,4 +1,5 @@
-"""A trained LeRobot policy as an agent, with LeRobot's own loading, processors and action selection.
+"""A trained LeRobot policy as an agent, with LeRobot's own loading, processors and action
+selection.
 
 Nothing here imports torch or LeRobot before a policy is loaded.
 """
@@ -12,14 +13,23 @@ import numpy as np
 
 from dynahoi_lerobot.core.agent import ChunkAgent, Observation
 from dynahoi_lerobot.core.conventions import CONTROL_DT
-from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, EYE, IMAGE_PREFIX, TRUTH, as_gym, environment_state_of
+from dynahoi_lerobot.core.features import (
+    ENVIRONMENT_STATE,
+    EYE,
+    IMAGE_PREFIX,
+    TRUTH,
+    as_gym,
+    environment_state_of,
+)
 from dynahoi_lerobot.evaluate import checkpoint
 from dynahoi_lerobot.evaluate.checkpoint import PolicyError
 from dynahoi_lerobot.renderers.views import OPTIONAL_VIEWS
 
 
 def _in_a_sentence[**P, R](method: Callable[P, R]) -> Callable[P, R]:
-    """Raise whatever a policy raises while it plays as a PolicyError, of which that is the cause."""
+    """Raise whatever a policy raises while it plays as a PolicyError, of which that is the
+    cause.
+    """
 
     @wraps(method)
     def call(*args: P.args, **options: P.kwargs) -> R:
@@ -41,13 +51,25 @@ class PolicyAgent(ChunkAgent):
     """
 
     def __init__(
-        self, path: str, device: str | None = None, settings: Sequence[str] = (), *, trust: bool = False
+        self,
+        path: str,
+        device: str | None = None,
+        settings: Sequence[str] = (),
+        *,
+        trust: bool = False,
     ) -> None:
-        """Load a policy and its processors; see ``checked_folder`` and ``load_policy`` for arguments and errors."""
+        """Load a policy and its processors; see ``checked_folder`` and ``load_policy`` for
+        arguments and errors.
+        """
         self.name = path
         folder = checkpoint.checked_folder(path, trust=trust)
-        self._policy, self._before, self._after = checkpoint.load_policy(folder, device, settings, trust=trust)
-        self.weights, self.trained_for = checkpoint.folder_weights(folder), checkpoint.trained_for(folder)
+        self._policy, self._before, self._after = checkpoint.load_policy(
+            folder, device, settings, trust=trust
+        )
+        self.weights, self.trained_for = (
+            checkpoint.folder_weights(folder),
+            checkpoint.trained_for(folder),
+        )
         self._chunk: Any = None
         self._frame = 0
         inputs = self._policy.config.input_features
@@ -59,9 +81,11 @@ class PolicyAgent(ChunkAgent):
         self.views = tuple(view for view in OPTIONAL_VIEWS if IMAGE_PREFIX + view in inputs)
 
     def reset(self, count: int) -> None:
-        """Forget queued actions and history, and seed torch's generator, from which policies draw their noise.
+        """Forget queued actions and history, and seed torch's generator, from which policies draw
+        their noise.
 
-        So what a group of episodes draws depends on no group before it, and an interrupted evaluation goes on alike.
+        So what a group of episodes draws depends on no group before it, and an interrupted
+        evaluation goes on alike.
         """
         import torch
 
@@ -86,7 +110,9 @@ class PolicyAgent(ChunkAgent):
         return supports_rtc_inference(self._policy)
 
     def enable_guidance(self) -> None:
-        """Set real-time chunking up as ``lerobot-rollout`` does, with LeRobot's defaults if the checkpoint has none."""
+        """Set real-time chunking up as ``lerobot-rollout`` does, with LeRobot's defaults if the
+        checkpoint has none.
+        """
         from lerobot.policies.rtc import RTCConfig
 
         self._policy.config.rtc_config = self._policy.config.rtc_config or RTCConfig()
@@ -107,9 +133,11 @@ class PolicyAgent(ChunkAgent):
         executed: np.ndarray | None = None,
         delays: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return a chunk for each of ``worlds`` (n,), and the seconds that predicting those of all worlds took.
+        """Return a chunk for each of ``worlds`` (n,), and the seconds that predicting those of all
+        worlds took.
 
-        LeRobot predicts the chunks of all worlds together, so what they continue is as old in each of them.
+        LeRobot predicts the chunks of all worlds together, so what they continue is as old in each
+        of them.
 
         Raises:
             PolicyError: if the policy predicts no chunks.
@@ -118,14 +146,21 @@ class PolicyAgent(ChunkAgent):
 
         start, batch, guidance = time.perf_counter(), self._batch(observation), {}
         if executed is not None and delays is not None:
-            # the normalised actions that are not executed yet; of a chunk that is over, where it led
-            left_over = self._chunk[:, min(int(executed[0]), self._chunk.shape[1] - 1) :]  # (N, n, 18)
+            # the normalised actions that are not executed yet; of a chunk that is over, where it
+            # led
+            left_over = self._chunk[
+                :, min(int(executed[0]), self._chunk.shape[1] - 1) :
+            ]  # (N, n, 18)
             guidance = {"prev_chunk_left_over": left_over, "inference_delay": int(delays[0])}
         with torch.no_grad():  # not inference_mode: LeRobot's guidance differentiates
             try:
-                self._chunk = self._policy.predict_action_chunk(queued_frame(self._policy, batch), **guidance)
+                self._chunk = self._policy.predict_action_chunk(
+                    queued_frame(self._policy, batch), **guidance
+                )
             except NotImplementedError as error:
-                raise PolicyError(f"{self.name} predicts no chunks of actions; use inference mode sync") from error
+                raise PolicyError(
+                    f"{self.name} predicts no chunks of actions; use inference mode sync"
+                ) from error
             actions = self._commands(self._chunk)[worlds]
         return actions, np.full(len(worlds), time.perf_counter() - start)
 
@@ -141,27 +176,38 @@ class PolicyAgent(ChunkAgent):
         import torch
         from lerobot.envs.utils import preprocess_observation
 
-        shown = {"": True, TRUTH: observation.environment_state is not None, EYE: observation.sighting is not None}
+        shown = {
+            "": True,
+            TRUTH: observation.environment_state is not None,
+            EYE: observation.sighting is not None,
+        }
         if not shown[self.environment_state]:
             raise PolicyError(
-                f"{self.name} reads {ENVIRONMENT_STATE}, which `dynahoi evaluate --environment-state "
-                f"{self.environment_state}` and environments with environment_state={self.environment_state!r} show"
+                f"{self.name} reads {ENVIRONMENT_STATE}, which `dynahoi evaluate "
+                f"--environment-state "
+                f"{self.environment_state}` and environments with "
+                f"environment_state={self.environment_state!r} show"
             )
         batch: dict[str, Any] = preprocess_observation(as_gym(observation))
         batch["task"] = list(observation.tasks)
         batch = self._before(batch)
-        batch["timestamp"] = torch.full((len(observation.tasks),), self._frame * CONTROL_DT)  # a policy's history
+        batch["timestamp"] = torch.full(
+            (len(observation.tasks),), self._frame * CONTROL_DT
+        )  # a policy's history
         self._frame += 1
         return batch
 
 
-# -- the frames that a policy remembers, when not every frame asks it for an action -----------------------------------
-# `select_action` notes every frame and decides by itself when to predict a chunk; `predict_action_chunk` predicts at
-# once, and what it does about earlier frames differs from policy to policy.
+# -- the frames that a policy remembers, when not every frame asks it for an action ----------------
+# `select_action` notes every frame and decides by itself when to predict a chunk;
+# `predict_action_chunk` predicts at once, and what it does about earlier frames differs from policy
+# to policy.
 
 
 def note_frame(policy: Any, batch: dict[str, Any]) -> None:
-    """Note a preprocessed frame of all worlds in which no chunk is asked for; a policy without history ignores it."""
+    """Note a preprocessed frame of all worlds in which no chunk is asked for; a policy without
+    history ignores it.
+    """
     if hasattr(policy, "observe"):
         policy.observe(batch)
     else:
@@ -169,10 +215,12 @@ def note_frame(policy: Any, batch: dict[str, Any]) -> None:
 
 
 def queued_frame(policy: Any, batch: dict[str, Any]) -> dict[str, Any]:
-    """Add a frame to the observation queues of a policy that has them (Diffusion Policy, VQ-BeT, multi-task DiT).
+    """Add a frame to the observation queues of a policy that has them (Diffusion Policy, VQ-BeT,
+    multi-task DiT).
 
     Returns:
-        The batch as ``predict_action_chunk`` of such a policy takes it: its images are stacked under one key.
+        The batch as ``predict_action_chunk`` of such a policy takes it: its images are stacked
+        under one key.
     """
     import torch
     from lerobot.policies.utils import populate_queues
@@ -182,7 +230,9 @@ def queued_frame(policy: Any, batch: dict[str, Any]) -> dict[str, Any]:
     if OBS_IMAGES in queues:
         images = [batch[key] for key in policy.config.image_features]
         batch = batch | {OBS_IMAGES: torch.stack(images, dim=-4)}
-    if queues:  # a policy looks into the queue of every key of the batch, and that of actions may be empty
+    if (
+        queues
+    ):  # a policy looks into the queue of every key of the batch, and that of actions may be empty
         batch = {key: value for key, value in batch.items() if key != ACTION}
     populate_queues(queues, batch)
     return batch

@@ -1,8 +1,9 @@
-"""``dynahoi evaluate --replay RESULTS``: the logged commands are played again and every number is recomputed.
+"""``dynahoi evaluate --replay RESULTS``: the logged commands are played again and every number is
+recomputed.
 
-A replay shows that the commands in a folder, given in the episodes of its split, lead to the results in it. It does not
-show who or what gave the commands, from which observations, or how long that took: a log of the expert's commands under
-another name replays, too.
+A replay shows that the commands in a folder, given in the episodes of its split, lead to the
+results in it. It does not show who or what gave the commands, from which observations, or how long
+that took: a log of the expert's commands under another name replays, too.
 """
 
 import math
@@ -21,7 +22,13 @@ from tqdm import tqdm
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.numerics import TOLERANCE
 from dynahoi_lerobot.core.reading import sha256
-from dynahoi_lerobot.evaluate.results import ACTIONS_FILE, EPISODES_FILE, METRICS_FILE, Results, read_results
+from dynahoi_lerobot.evaluate.results import (
+    ACTIONS_FILE,
+    EPISODES_FILE,
+    METRICS_FILE,
+    Results,
+    read_results,
+)
 from dynahoi_lerobot.evaluate.rows import Row, episode_row
 from dynahoi_lerobot.rollout.inference import SYNC
 from dynahoi_lerobot.rollout.loop import replay
@@ -41,7 +48,8 @@ COMPUTED = ("n", "n_success", "pc_success_ci95", "metrics", "per_kind")
 
 
 def run(folder: Path, salt: str, count: int | None, seed: int | None) -> int:
-    """Replay ``count`` episodes (all for None), drawn with ``seed`` (random for None), and print what differs.
+    """Replay ``count`` episodes (all for None), drawn with ``seed`` (random for None), and print
+    what differs.
 
     Returns:
         The exit code: 0 if every number is the same, else 1.
@@ -56,17 +64,26 @@ def run(folder: Path, salt: str, count: int | None, seed: int | None) -> int:
     chosen = drawn(len(results.rows), count, seed)
     findings = list(check_results(results, recipe))
     if not findings:
-        progress = tqdm(check_episodes(results, recipe, chosen), total=len(chosen), desc="replaying", unit="episode")
+        progress = tqdm(
+            check_episodes(results, recipe, chosen),
+            total=len(chosen),
+            desc="replaying",
+            unit="episode",
+        )
         findings = [finding for found in progress for finding in found]
     for finding in findings[:SHOWN]:
         print(finding)
-    of = f"{len(results.rows)} episodes in the folder, {len(split_seeds(split_of(results.info.split)))} in the split"
+    of = (
+        f"{len(results.rows)} episodes in the folder, "
+        f"{len(split_seeds(split_of(results.info.split)))} in the split"
+    )
     print(f"{len(chosen)} episodes drawn with --replay-seed {seed}, of {of}")
     if findings:
         print(f"not the same: {len(findings)} found")
         return 1
     print(
-        "every number is the same; no command tells the policy, its settings, its observations and its inference time"
+        "every number is the same; no command tells the policy, its settings, its observations "
+        "and its inference time"
     )
     return 0
 
@@ -87,26 +104,39 @@ def open_recipe(results: Results, salt: str = "") -> Recipe:
     """
     recipe = results.recipe()
     if seal(recipe.salt) != seal(salt):
-        found, said = (f"salt {seal(one)}" if one else "the public stream" for one in (recipe.salt, salt))
+        found, said = (
+            f"salt {seal(one)}" if one else "the public stream" for one in (recipe.salt, salt)
+        )
         raise ValueError(f"the results are of {found}, not of {said}, as --salt says")
     return replace(recipe, salt=salt)
 
 
 def changed_rules(results: Results) -> dict[str, tuple[Any, Any]]:
-    """Return the fields of a result's recipe that are not the benchmark's, with their values and the benchmark's.
+    """Return the fields of a result's recipe that are not the benchmark's, with their values and
+    the benchmark's.
 
     Raises:
         ReadError: if the result does not say what was played.
         ValueError: if there is no such split, capture rule or control class.
     """
     info = results.info
-    rules = Recipe(split=split_of(info.split), capture=info.capture, control_class=results.rules["control_class"])
+    rules = Recipe(
+        split=split_of(info.split),
+        capture=info.capture,
+        control_class=results.rules["control_class"],
+    )
     played = asdict(results.recipe())
-    return {name: (played[name], value) for name, value in asdict(rules).items() if played[name] != value}
+    return {
+        name: (played[name], value)
+        for name, value in asdict(rules).items()
+        if played[name] != value
+    }
 
 
 def _unseen_rules(results: Results) -> dict[str, tuple[Any, Any]]:
-    """Return what a result says of its policy that is not as in the benchmark, and that no replay can tell."""
+    """Return what a result says of its policy that is not as in the benchmark, and that no replay
+    can tell.
+    """
     said = {"inference": results.rules["inference"], "privileged": results.privileged}
     said["settings"] = results.info.extra.get("settings") or []
     usual = {"inference": SYNC, "settings": [], "privileged": False}
@@ -119,10 +149,16 @@ def check_results(results: Results, recipe: Recipe) -> Iterator[str]:
     if (here := recipe.fingerprint()) != info.fingerprint:
         yield f"the results were made by {_otherwise(results)} ({info.fingerprint}, here is {here})"
     if info.benchmark != BENCHMARK.version:
-        yield f"the results are of version {info.benchmark} of the benchmark, here is {BENCHMARK.version}"
+        yield (
+            f"the results are of version {info.benchmark} of the benchmark, here is "
+            f"{BENCHMARK.version}"
+        )
     if recipe.split != split or recipe.capture != info.capture:
         played = f"{recipe.split} under {recipe.capture}"
-        yield f"metrics.json names split {info.split} and capture rule {info.capture}, but its recipe plays {played}"
+        yield (
+            f"metrics.json names split {info.split} and capture rule {info.capture}, but its "
+            f"recipe plays {played}"
+        )
     if info.split != (label := stream_label(split, recipe.salt)):
         yield f"metrics.json names split {info.split}, but its recipe plays {label}"
     seeds = Counter(row["seed"] for row in results.rows)
@@ -138,11 +174,16 @@ def check_results(results: Results, recipe: Recipe) -> Iterator[str]:
 
 
 def check_episodes(results: Results, recipe: Recipe, indices: Sequence[int]) -> Iterator[list[str]]:
-    """Play rows ``indices`` again and yield what differs, a list for each of them in their order."""
+    """Play rows ``indices`` again and yield what differs, a list for each of them in their
+    order.
+    """
     for chosen in batched(indices, PLAYED_TOGETHER):
         episodes = replay(recipe, [results.log(i) for i in chosen], images=False, as_evaluated=True)
         for i, episode in zip(chosen, episodes, strict=True):
-            yield [*_wrong_values(episode, results.rows[i]), *_wrong_actions(episode, results.actions[i])]
+            yield [
+                *_wrong_values(episode, results.rows[i]),
+                *_wrong_actions(episode, results.actions[i]),
+            ]
 
 
 def _otherwise(results: Results) -> str:
@@ -151,9 +192,13 @@ def _otherwise(results: Results) -> str:
     if stored is None:
         return "other code, library versions or kind of processor, or another recipe"
     differs = [
-        f"{name} {stored.get(name)}, not {here}" for name, here in surroundings().items() if stored.get(name) != here
+        f"{name} {stored.get(name)}, not {here}"
+        for name, here in surroundings().items()
+        if stored.get(name) != here
     ]
-    return f"other surroundings: {'; '.join(differs)}" if differs else "other code, or another recipe"
+    return (
+        f"other surroundings: {'; '.join(differs)}" if differs else "other code, or another recipe"
+    )
 
 
 def _wrong_sums(name: str, stored: Any, recomputed: Any) -> Iterator[str]:
@@ -173,10 +218,15 @@ def _wrong_values(episode: Episode, row: Row) -> Iterator[str]:
 
 
 def _wrong_actions(episode: Episode, actions: np.ndarray) -> Iterator[str]:
-    """Yield that a log is not as long as its episode, or its first command that the world did not take as it is."""
+    """Yield that a log is not as long as its episode, or its first command that the world did not
+    take as it is.
+    """
     seed = episode.meta.seed
     if len(episode) != len(actions):
-        yield f"seed {seed}: the log has {len(actions)} commands, an evaluation with them {len(episode)} frames"
+        yield (
+            f"seed {seed}: the log has {len(actions)} commands, an evaluation with them "
+            f"{len(episode)} frames"
+        )
         return
     differs = np.abs(episode.action - actions).max(axis=1) > TOLERANCE
     if differs.any():

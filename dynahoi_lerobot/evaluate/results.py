@@ -1,4 +1,6 @@
-"""The result folder of one evaluation: ``metrics.json``, ``episodes.parquet`` and ``actions.npz``."""
+"""The result folder of one evaluation: ``metrics.json``, ``episodes.parquet`` and
+``actions.npz``.
+"""
 
 import io
 import json
@@ -48,10 +50,16 @@ HEAD_TYPES: dict[str, Any] = (
     | {"extra": dict[str, Any]}
 )
 EXTRA_TYPES = {
-    "inference": str | None, "settings": list[str] | None, "privileged": bool | None, "weights": dict[str, str] | None,
-    "recipe": dict[str, Any], "surroundings": dict[str, Any], "vlm": dict[str, Any],
-}  # fmt: skip
-"""Keys of ``metrics.json`` with the types of their values; what is below ``extra`` may be missing."""
+    "inference": str | None,
+    "settings": list[str] | None,
+    "privileged": bool | None,
+    "weights": dict[str, str] | None,
+    "recipe": dict[str, Any],
+    "surroundings": dict[str, Any],
+    "vlm": dict[str, Any],
+}
+"""Keys of ``metrics.json`` with the types of their values; what is below ``extra`` may be
+missing."""
 
 UNIFORM = ("capture", "benchmark", "protocol", "control_class")
 """Columns with one value in all rows; the first two have that of ``metrics.json``."""
@@ -67,7 +75,9 @@ WEIGHTS = "weights"
 
 
 def command_line() -> str:
-    """Return the command line as results keep it: printable, its program without the folder, a salt hidden."""
+    """Return the command line as results keep it: printable, its program without the folder, a salt
+    hidden.
+    """
     return printable(" ".join([Path(sys.argv[0]).name, *without_salt(sys.argv[1:])]))
 
 
@@ -81,9 +91,10 @@ class RunInfo:
         capture: the capture rule, ``attach``, ``attach_lenient`` or ``contact``.
         command: the exact command line.
         fingerprint: identifies the code and recipe.
-        extra: further JSON values: ``privileged`` if who moved the hand saw the simulator's state, ``inference`` and
-            ``settings`` where inference took time or the policy's config was changed, ``recipe``, ``weights``, and
-            whatever a figure needs, such as ``n_obs_frames`` or ``data_fraction``.
+        extra: further JSON values: ``privileged`` if who moved the hand saw the simulator's state,
+            ``inference`` and ``settings`` where inference took time or the policy's config was
+            changed, ``recipe``, ``weights``, and whatever a figure needs, such as ``n_obs_frames``
+            or ``data_fraction``.
         benchmark: version of the benchmark.
     """
 
@@ -96,8 +107,12 @@ class RunInfo:
     benchmark: str = BENCHMARK.version
 
     @classmethod
-    def begun(cls, policy: str, recipe: Recipe, weights: Mapping[str, str] | None = None, **told: Any) -> Self:
-        """Return what this command line begins to play, of a recipe; ``told`` and ``weights`` are in ``extra``."""
+    def begun(
+        cls, policy: str, recipe: Recipe, weights: Mapping[str, str] | None = None, **told: Any
+    ) -> Self:
+        """Return what this command line begins to play, of a recipe; ``told`` and ``weights`` are
+        in ``extra``.
+        """
         extra = {"recipe": recipe.stored(), **told, "surroundings": surroundings()}
         extra |= {} if weights is None else {WEIGHTS: dict(weights)}
         split = stream_label(recipe.split, recipe.salt)
@@ -105,8 +120,13 @@ class RunInfo:
 
     def task(self) -> dict[str, Any]:
         """Return what must be equal for an evaluation to be resumed."""
-        told = {name: self.extra.get(name) or "" for name in ("recipe", "inference", "settings", WEIGHTS)}
-        return {name: getattr(self, name) for name in ("policy", "split", "fingerprint", "benchmark")} | told
+        told = {
+            name: self.extra.get(name) or ""
+            for name in ("recipe", "inference", "settings", WEIGHTS)
+        }
+        return {
+            name: getattr(self, name) for name in ("policy", "split", "fingerprint", "benchmark")
+        } | told
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +137,8 @@ class Results:
         folder: where it was read from or written to.
         info: what was evaluated and how.
         rows: one row an episode, as ``episode_row`` makes them.
-        actions: one (T, 18) float32 array an episode, palm position [m], home frame, and joint angles [rad].
+        actions: one (T, 18) float32 array an episode, palm position [m], home frame, and joint
+            angles [rad].
         head: what ``metrics.json`` held; empty for results that were not read.
     """
 
@@ -132,8 +153,8 @@ class Results:
     def resumed(cls, folder: Path, info: RunInfo) -> Self:
         """Return what an interrupted run of the same task has saved in ``folder``.
 
-        It may have ended before its first save, or between the renaming of two files, so that one of them holds more
-        episodes.
+        It may have ended before its first save, or between the renaming of two files, so that one
+        of them holds more episodes.
 
         Raises:
             ReadError: if what it saved is damaged.
@@ -146,7 +167,10 @@ class Results:
 
     def plus(self, episodes: Sequence[Episode]) -> Self:
         """Return these results and those of further ``episodes``."""
-        rows, actions = map(episode_row, episodes), (np.array(episode.action, np.float32) for episode in episodes)
+        rows, actions = (
+            map(episode_row, episodes),
+            (np.array(episode.action, np.float32) for episode in episodes),
+        )
         return replace(self, rows=(*self.rows, *rows), actions=(*self.actions, *actions))
 
     @property
@@ -158,9 +182,10 @@ class Results:
     def rules(self) -> dict[str, str]:
         """What must be equal for two evaluations to be compared.
 
-        ``inference`` is ``sync`` if the world waited for the policy, else such as ``async 150 ms``; ``render_noise``
-        how many of 255 levels the images were changed by at most, ``0`` if they were not; ``path_speed`` how many times
-        as fast targets were on their paths, ``1`` unless they are twins.
+        ``inference`` is ``sync`` if the world waited for the policy, else such as ``async 150 ms``;
+        ``render_noise`` how many of 255 levels the images were changed by at most, ``0`` if they
+        were not; ``path_speed`` how many times as fast targets were on their paths, ``1`` unless
+        they are twins.
         """
         told = self.info.extra.get("recipe", {})
         return {
@@ -193,9 +218,13 @@ class Results:
         return self._by[stratum]
 
     def recipe(self) -> Recipe:
-        """Return what was played; ReadError if the folder does not say it, or what it says is damaged."""
+        """Return what was played; ReadError if the folder does not say it, or what it says is
+        damaged.
+        """
         if "recipe" not in self.info.extra:
-            raise ReadError(f"{self.folder} does not say what was played; evaluate again with this version")
+            raise ReadError(
+                f"{self.folder} does not say what was played; evaluate again with this version"
+            )
         with reading(self.folder / METRICS_FILE):
             return decoded(Recipe, self.info.extra["recipe"])
 
@@ -207,7 +236,8 @@ class Results:
     def as_json(self) -> dict[str, Any]:
         """Return the content of ``metrics.json``: per metric its value, interval, unit and count.
 
-        ``n_success`` and ``pc_success_ci95``, Wilson's interval in percent, are named as in LeRobot.
+        ``n_success`` and ``pc_success_ci95``, Wilson's interval in percent, are named as in
+        LeRobot.
         """
         info, n_success = self.info, sum(row["success"] for row in self.rows)
         return {
@@ -226,7 +256,8 @@ class Results:
         }
 
     def write(self) -> None:
-        """Write the three files; ``metrics.json`` is renamed last, so it is there only if the others are.
+        """Write the three files; ``metrics.json`` is renamed last, so it is there only if the
+        others are.
 
         Raises:
             ValueError: if there is no episode.
@@ -237,7 +268,9 @@ class Results:
         write_atomically(
             {
                 self.folder / EPISODES_FILE: lambda path: _write_rows(path, self.rows),
-                self.folder / ACTIONS_FILE: lambda path: _write_actions(path, self.rows, self.actions),
+                self.folder / ACTIONS_FILE: lambda path: _write_actions(
+                    path, self.rows, self.actions
+                ),
                 self.folder / METRICS_FILE: lambda path: path.write_text(text, encoding="utf-8"),
             }
         )
@@ -245,7 +278,8 @@ class Results:
 
 @contextmanager
 def kept_results(folder: Path | None, info: RunInfo) -> Iterator[Results]:
-    """Hold a result folder, if there is one, and give what an interrupted run of the same task has saved in it.
+    """Hold a result folder, if there is one, and give what an interrupted run of the same task has
+    saved in it.
 
     Raises:
         BlockingIOError, FileExistsError: if the folder is not to be had, see ``working_folder``.
@@ -262,18 +296,25 @@ def read_results(folder: Path) -> Results:
         ReadError: one sentence that says what is missing or damaged.
     """
     folder = Path(folder)
-    if missing := [name for name in (METRICS_FILE, EPISODES_FILE, ACTIONS_FILE) if not (folder / name).exists()]:
+    if missing := [
+        name for name in (METRICS_FILE, EPISODES_FILE, ACTIONS_FILE) if not (folder / name).exists()
+    ]:
         raise ReadError(f"{folder} holds no results: {missing[0]} is missing; {REMEDY}")
     head = _read_head(folder / METRICS_FILE)
     rows = _read_rows(folder / EPISODES_FILE)
     actions = _read_actions(folder / ACTIONS_FILE, rows)
     if not head["n"] == len(rows) == len(actions) > 0:
-        counts = f"{METRICS_FILE} {head['n']}, {EPISODES_FILE} {len(rows)}, {ACTIONS_FILE} {len(actions)}"
+        counts = (
+            f"{METRICS_FILE} {head['n']}, {EPISODES_FILE} {len(rows)}, {ACTIONS_FILE} "
+            f"{len(actions)}"
+        )
         raise ReadError(f"the files in {folder} disagree on the episodes: {counts}; {REMEDY}")
     for name in UNIFORM:
         found = sorted({head.get(name, rows[0][name]), *(row[name] for row in rows)})
         if len(found) > 1:
-            raise ReadError(f"{folder} holds episodes of {name} {found[0]!r} and {found[1]!r}; {REMEDY}")
+            raise ReadError(
+                f"{folder} holds episodes of {name} {found[0]!r} and {found[1]!r}; {REMEDY}"
+            )
     info = RunInfo(**{entry.name: head[entry.name] for entry in fields(RunInfo)})
     return Results(folder, info, tuple(rows), tuple(actions), head)
 
@@ -287,7 +328,7 @@ def _plain(summary: Summary) -> dict[str, dict[str, Any]]:
     return {name: asdict(estimate) for name, estimate in summary.items()}
 
 
-# -- the three files --------------------------------------------------------------------------------------------------
+# -- the three files -------------------------------------------------------------------------------
 
 
 def _read_head(path: Path) -> dict[str, Any]:
@@ -297,7 +338,10 @@ def _read_head(path: Path) -> dict[str, Any]:
         for figures in (head["metrics"], *head["per_kind"].values()):
             for figure in figures.values():
                 require(figure, get_type_hints(Estimate))
-        require(head["extra"], {name: kind for name, kind in EXTRA_TYPES.items() if name in head["extra"]})
+        require(
+            head["extra"],
+            {name: kind for name, kind in EXTRA_TYPES.items() if name in head["extra"]},
+        )
         return head
 
 
@@ -308,7 +352,9 @@ def _write_rows(path: Path, rows: Sequence[Row]) -> None:
 
     # arrow takes Python's lists through pandas, whose import takes longer than an episode
     lines = "\n".join(map(json.dumps, rows)).encode()
-    options = pj.ParseOptions(explicit_schema=pa.schema(COLUMNS), unexpected_field_behavior="ignore")
+    options = pj.ParseOptions(
+        explicit_schema=pa.schema(COLUMNS), unexpected_field_behavior="ignore"
+    )
     pq.write_table(pj.read_json(io.BytesIO(lines), parse_options=options), path, compression="none")
 
 
@@ -323,7 +369,9 @@ def _read_rows(path: Path) -> list[Row]:
             raise TypeError(f"its column {name} is missing, surplus or of another type")
         rows = [{name: row[name] for name in COLUMNS} for row in read_rows(path)]
         for row in rows:
-            if wrong := [name for name, kind in COLUMNS.items() if not _possible(name, kind, row[name])]:
+            if wrong := [
+                name for name, kind in COLUMNS.items() if not _possible(name, kind, row[name])
+            ]:
                 raise ValueError(f"it says {wrong[0]} of an episode is {row[wrong[0]]!r:.80}")
         return rows
 
@@ -332,7 +380,9 @@ def _possible(name: str, kind: str, value: Any) -> bool:
     """Tell whether an episode could have a value in a column; a metric may lack one."""
     if name in METRICS:
         (low, high), rate = METRICS[name].bounds, METRICS[name].aggregation == "rate"
-        return value is None or (value in (0.0, 1.0) if rate else low <= value <= min(high, LARGEST))
+        return value is None or (
+            value in (0.0, 1.0) if rate else low <= value <= min(high, LARGEST)
+        )
     if value is None:
         return name == "first_localized"
     return kind not in ("double", "int64") or 0 <= value <= LARGEST
@@ -353,16 +403,30 @@ def _read_actions(path: Path, rows: Sequence[Row]) -> list[np.ndarray]:
     """Return the (T, 18) actions of all episodes, of which the first are those of ``rows``."""
     with reading(path):
         actions, offsets, seeds = read_arrays(path, ("action", "offsets", "seed")).values()
-        if actions.shape[1:] != (HAND_DOF,) or actions.dtype.kind != "f" or not (np.abs(actions) <= LARGEST).all():
+        if (
+            actions.shape[1:] != (HAND_DOF,)
+            or actions.dtype.kind != "f"
+            or not (np.abs(actions) <= LARGEST).all()
+        ):
             told = f"of shape {actions.shape}, up to {np.abs(actions).max(initial=0)}"
-            raise ValueError(f"its actions must be of shape (N, {HAND_DOF}), up to {LARGEST}; they are {told}")
+            raise ValueError(
+                f"its actions must be of shape (N, {HAND_DOF}), up to {LARGEST}; they are {told}"
+            )
         steps = np.diff(offsets, prepend=0, append=len(actions))
-        if offsets.shape != (len(seeds) + 1,) or offsets.dtype.kind != "i" or steps[0] or steps[-1] or steps.min() < 0:
+        if (
+            offsets.shape != (len(seeds) + 1,)
+            or offsets.dtype.kind != "i"
+            or steps[0]
+            or steps[-1]
+            or steps.min() < 0
+        ):
             raise ValueError("its offsets do not divide its actions among its episodes")
         if any(row["seed"] != seed for row, seed in zip(rows, seeds.tolist(), strict=False)):
             raise ValueError(f"its seeds are not those of {EPISODES_FILE}")
         for row, n_frames in zip(rows, steps[1:-1].tolist(), strict=False):
             for name in ("window_frames", "first_localized"):
                 if (row[name] or 0) >= n_frames:
-                    raise ValueError(f"seed {row['seed']} has {n_frames} commands, and {name} is {row[name]}")
+                    raise ValueError(
+                        f"seed {row['seed']} has {n_frames} commands, and {name} is {row[name]}"
+                    )
         return np.split(actions, offsets[1:-1])

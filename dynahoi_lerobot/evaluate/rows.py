@@ -1,4 +1,6 @@
-"""One episode as one row of ``episodes.parquet``: what was played, the groups it counts in, every metric; no arrays."""
+"""One episode as one row of ``episodes.parquet``: what was played, the groups it counts in, every
+metric; no arrays.
+"""
 
 from bisect import bisect_left
 from collections.abc import Callable
@@ -15,28 +17,35 @@ from dynahoi_lerobot.motions.base import CATEGORIES
 
 Row = dict[str, Any]
 
-# -- groups -----------------------------------------------------------------------------------------------------------
+# -- groups ----------------------------------------------------------------------------------------
 
 PERIODICITIES = ("circular", "periodic", "linear", "hybrid")
 """From the clearest periodic signature to none (Appendix "Stratified Performance Analysis").
 
-The paper names straight lines and projectiles as linear, harmonic motion and pendulums as periodic; rolling
-and impacts revisit nothing, hence linear. A hybrid changes between these within one episode, so it keeps its
-own label.
+The paper names straight lines and projectiles as linear, harmonic motion and pendulums as periodic;
+rolling and impacts revisit nothing, hence linear. A hybrid changes between these within one
+episode, so it keeps its own label.
 """
 
 ELSEWHERE = ("other", "other")
 """Tier and periodicity of a category outside the paper's eight."""
 
-DURATIONS, DURATION_EDGES = ("<20", "20-40", "40-60", "60-80", "80-120", ">120"), (20, 40, 60, 80, 120)
-"""Duration bins and their upper edges [frames] (Figure "Data statistics", c), each part of the lower bin."""
+DURATIONS, DURATION_EDGES = (
+    ("<20", "20-40", "40-60", "60-80", "80-120", ">120"),
+    (20, 40, 60, 80, 120),
+)
+"""Duration bins and their upper edges [frames] (Figure "Data statistics", c), each part of the
+lower bin."""
 
 TRAVELS, TRAVEL_EDGES = ("0-0.5", "0.5-2", "2-4", ">4"), (0.5, 2.0, 4.0)
-"""Travel bins and their upper edges [u] (Figure "Data statistics", d), each part of the lower bin."""
+"""Travel bins and their upper edges [u] (Figure "Data statistics", d), each part of the lower
+bin."""
 
 
 def travel_u(episode: Episode) -> float:
-    """Return the straight distance [u = 0.1 m] from the palm at control start to the intercept point."""
+    """Return the straight distance [u = 0.1 m] from the palm at control start to the intercept
+    point.
+    """
     start = episode.palm_pos_h[min(episode.meta.window_frames, len(episode) - 1)]
     return float(np.linalg.norm(episode.intercept_position.astype(np.float64) - start)) / UNIT_M
 
@@ -73,13 +82,17 @@ STRATA = {
     "category": Stratum(lambda episode: episode.meta.category, tuple(CATEGORIES)),
     "kind": Stratum(lambda episode: episode.meta.motion),
     "object": Stratum(lambda episode: episode.meta.object),
-    "periodicity": Stratum(lambda episode: CATEGORIES.get(episode.meta.category, ELSEWHERE)[1], PERIODICITIES),
+    "periodicity": Stratum(
+        lambda episode: CATEGORIES.get(episode.meta.category, ELSEWHERE)[1], PERIODICITIES
+    ),
     "duration": Stratum(_duration, DURATIONS),
-    "travel": Stratum(lambda episode: TRAVELS[bisect_left(TRAVEL_EDGES, travel_u(episode))], TRAVELS),
+    "travel": Stratum(
+        lambda episode: TRAVELS[bisect_left(TRAVEL_EDGES, travel_u(episode))], TRAVELS
+    ),
 }
 """The groups by which results are broken down; each is a column of its name."""
 
-# -- columns ----------------------------------------------------------------------------------------------------------
+# -- columns ---------------------------------------------------------------------------------------
 
 TEXTS = ("split", "agent", "capture", "protocol", "control_class", "fingerprint", "benchmark")
 COUNTS = ("seed", "length_frames", "window_frames", "intercept_frame", "attempts")
@@ -88,19 +101,28 @@ COUNTS = ("seed", "length_frames", "window_frames", "intercept_frame", "attempts
 COLUMNS = (
     dict.fromkeys(TEXTS, "string")
     | dict.fromkeys(COUNTS, "int64")
-    | {"travel_u": "double", "grasp_rad": "double", "first_localized": "int64", "stage": "string", "success": "bool"}
+    | {
+        "travel_u": "double",
+        "grasp_rad": "double",
+        "first_localized": "int64",
+        "stage": "string",
+        "success": "bool",
+    }
     | dict.fromkeys(STRATA, "string")
     | dict.fromkeys(METRICS.names(), "double")
 )
-"""Arrow's type of every column; explicit, because a column may hold nothing but nulls. ``travel_u`` is in u (0.1 m),
-``grasp_rad`` the mean rotation of a joint from the open hand to the reference grasp, ``first_localized`` a frame."""
+"""Arrow's type of every column; explicit, because a column may hold nothing but nulls. ``travel_u``
+is in u (0.1 m), ``grasp_rad`` the mean rotation of a joint from the open hand to the reference
+grasp, ``first_localized`` a frame."""
 
 identity = itemgetter("split", "seed", "kind", "object", "length_frames")
 """What two rows have in common if they are runs of the same episode."""
 
 
 def episode_row(episode: Episode) -> Row:
-    """Return one episode as a row: metadata, outcome, groups and metrics (None where one does not apply)."""
+    """Return one episode as a row: metadata, outcome, groups and metrics (None where one does not
+    apply).
+    """
     return {
         **{name: getattr(episode.meta, name) for name in (*TEXTS, *COUNTS)},
         "travel_u": travel_u(episode),

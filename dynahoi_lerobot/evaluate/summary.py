@@ -1,4 +1,6 @@
-"""Every metric with its 95 % interval, over all episodes or by group: Wilson's for rates, the bootstrap's for means."""
+"""Every metric with its 95 % interval, over all episodes or by group: Wilson's for rates, the
+bootstrap's for means.
+"""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -20,7 +22,8 @@ RESAMPLED_AT_ONCE = 2_000_000
 def wilson(successes: int, count: int) -> tuple[float, float]:
     """Return Wilson's 95 % score interval of a rate, within [0, 1].
 
-    Unlike the normal approximation's, it has a width at 0 and at ``count`` successes (E. B. Wilson, JASA 1927).
+    Unlike the normal approximation's, it has a width at 0 and at ``count`` successes (E. B. Wilson,
+    JASA 1927).
     """
     rate, spread = successes / count, Z_95**2 / count
     centre = (rate + spread / 2) / (1 + spread)
@@ -30,7 +33,9 @@ def wilson(successes: int, count: int) -> tuple[float, float]:
 
 
 def bootstrap_means(values: np.ndarray, resamples: int = RESAMPLES, seed: int = SEED) -> np.ndarray:
-    """Return (resamples,) means of (n,) ``values`` resampled with replacement, the same for any order of the values."""
+    """Return (resamples,) means of (n,) ``values`` resampled with replacement, the same for any
+    order of the values.
+    """
     values = np.sort(np.asarray(values, np.float64))
     rng = np.random.default_rng(seed)
     rows = max(1, RESAMPLED_AT_ONCE // values.size)
@@ -39,7 +44,9 @@ def bootstrap_means(values: np.ndarray, resamples: int = RESAMPLES, seed: int = 
     return np.concatenate([values[pick].mean(axis=1) for pick in picks])
 
 
-def bootstrap(values: np.ndarray, resamples: int = RESAMPLES, seed: int = SEED) -> tuple[float, float]:
+def bootstrap(
+    values: np.ndarray, resamples: int = RESAMPLES, seed: int = SEED
+) -> tuple[float, float]:
     """Return the seeded 95 % percentile interval of the mean of (n,) ``values``, in their unit."""
     low, high = np.percentile(bootstrap_means(values, resamples, seed), [2.5, 97.5])
     return float(low), float(high)
@@ -68,20 +75,28 @@ Summary = dict[str, Estimate]
 
 
 def estimate(metric: Metric, values: Iterable[float | None]) -> Estimate:
-    """Return the mean of one metric over the episodes to which it applies, those whose value is not None."""
+    """Return the mean of one metric over the episodes to which it applies, those whose value is not
+    None.
+    """
     known = np.array([value for value in values if value is not None], np.float64)
     if known.size == 0:
         return Estimate(None, None, None, metric.unit, 0)
-    ends = wilson(int(known.sum()), known.size) if metric.aggregation == "rate" else bootstrap(known)
+    ends = (
+        wilson(int(known.sum()), known.size) if metric.aggregation == "rate" else bootstrap(known)
+    )
     return Estimate(float(known.mean()), *ends, metric.unit, int(known.size))
 
 
 def summarise_rows(rows: Sequence[Row]) -> Summary:
     """Return every metric over ``rows``; a metric that the rows lack has ``n = 0``."""
-    return {name: estimate(metric, (row.get(name) for row in rows)) for name, metric in METRICS.items()}
+    return {
+        name: estimate(metric, (row.get(name) for row in rows)) for name, metric in METRICS.items()
+    }
 
 
 def summarise_by(rows: Sequence[Row], stratum: str) -> dict[str, Summary]:
     """Return every metric for every label of ``stratum``, in the stratum's order."""
     labels = STRATA[stratum].arrange({row[stratum] for row in rows})
-    return {label: summarise_rows([row for row in rows if row[stratum] == label]) for label in labels}
+    return {
+        label: summarise_rows([row for row in rows if row[stratum] == label]) for label in labels
+    }

@@ -9,11 +9,33 @@ from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.evaluate.summary import Estimate
 from dynahoi_lerobot.metrics import METRICS
 
-MAIN_COLUMNS = ("S_loc", "S_joint", "S_gra_two_sided", "S_gra", "E_loc", "E_gra", "Q_smooth", "Q_line", "R_time")
-"""The paper's seven metrics, and beside its S_gra, which a fist passes, the grasp that a fist fails."""
+MAIN_COLUMNS = (
+    "S_loc",
+    "S_joint",
+    "S_gra_two_sided",
+    "S_gra",
+    "E_loc",
+    "E_gra",
+    "Q_smooth",
+    "Q_line",
+    "R_time",
+)
+"""The paper's seven metrics, and beside its S_gra, which a fist passes, the grasp that a fist
+fails."""
 
-CONDITIONS = ("split", "protocol", "capture", "control", "inference", "noise", "speed", "benchmark", "n")
-"""Titles of what is said about an evaluation beside its numbers: under others they do not compare."""
+CONDITIONS = (
+    "split",
+    "protocol",
+    "capture",
+    "control",
+    "inference",
+    "noise",
+    "speed",
+    "benchmark",
+    "n",
+)
+"""Titles of what is said about an evaluation beside its numbers: under others they do not
+compare."""
 
 MOST_COLUMNS = 3
 """So many evaluations stand side by side in a terminal of 100 columns."""
@@ -45,14 +67,20 @@ class Table:
     rows: tuple[tuple[Cell, ...], ...]
 
     def as_text(self) -> str:
-        """Return the lines of the table, its caption on top and columns with numbers flush right."""
-        texts = [[" ".join(filter(None, (cell.text, cell.detail))) for cell in row] for row in self.rows]
+        """Return the lines of the table, its caption on top and columns with numbers flush
+        right.
+        """
+        texts = [
+            [" ".join(filter(None, (cell.text, cell.detail))) for cell in row] for row in self.rows
+        ]
         columns = [list(column) for column in zip(self.head, *texts, strict=True)]
         for i, column in enumerate(columns):
             width, right = max(map(len, column)), any(row[i].key is not None for row in self.rows)
             columns[i] = [text.rjust(width) if right else text.ljust(width) for text in column]
         lines = ["  ".join(line).rstrip() for line in zip(*columns, strict=True)]
-        return "\n".join([*filter(None, [self.caption]), lines[0], "-" * max(map(len, lines)), *lines[1:]])
+        return "\n".join(
+            [*filter(None, [self.caption]), lines[0], "-" * max(map(len, lines)), *lines[1:]]
+        )
 
     def turned(self) -> "Table":
         """Return it with rows for columns."""
@@ -63,17 +91,22 @@ class Table:
 
 
 def results_table(results: Sequence[Results]) -> str:
-    """Return a column for each evaluation, or, if there are many, a line, each metric with its interval.
+    """Return a column for each evaluation, or, if there are many, a line, each metric with its
+    interval.
 
     What all of them share is in the first line; an asterisk marks the privileged.
     """
     names = [result.info.policy + "*" * result.privileged for result in results]
     table = metrics_table(names, results, columns_for(results))
     text = (table.turned() if len(results) <= MOST_COLUMNS else table).as_text()
-    return text + "\n* privileged: knows the simulator's state" * any(result.privileged for result in results)
+    return text + "\n* privileged: knows the simulator's state" * any(
+        result.privileged for result in results
+    )
 
 
-def metrics_table(labels: Sequence[str], results: Sequence[Results], columns: Sequence[str]) -> Table:
+def metrics_table(
+    labels: Sequence[str], results: Sequence[Results], columns: Sequence[str]
+) -> Table:
     """Return a row for each evaluation; the best of those under equal conditions is marked.
 
     Conditions that all evaluations share are in the caption, so that the metrics fit the page.
@@ -85,19 +118,33 @@ def metrics_table(labels: Sequence[str], results: Sequence[Results], columns: Se
     rows = tuple(
         (
             Cell(label),
-            *(Cell(found[place][i], key=len(result.rows) if CONDITIONS[i] == "n" else None) for i in differing),
-            *(metric_cell(result.summary[name], "best" if (place, name) in best else "") for name in columns),
+            *(
+                Cell(found[place][i], key=len(result.rows) if CONDITIONS[i] == "n" else None)
+                for i in differing
+            ),
+            *(
+                metric_cell(result.summary[name], "best" if (place, name) in best else "")
+                for name in columns
+            ),
         )
         for place, (label, result) in enumerate(zip(labels, results, strict=True))
     )
-    return Table(", ".join(shared), ("policy", *(CONDITIONS[i] for i in differing), *map(heading, columns)), rows)
+    return Table(
+        ", ".join(shared),
+        ("policy", *(CONDITIONS[i] for i in differing), *map(heading, columns)),
+        rows,
+    )
 
 
 def kind_table(results: Results, caption: str = "") -> Table:
     """Return one row per kind of motion, each metric with its interval."""
     columns, counts = columns_for([results]), Counter(row["kind"] for row in results.rows)
     rows = tuple(
-        (Cell(kind), Cell(str(counts[kind]), key=counts[kind]), *(metric_cell(summary[name]) for name in columns))
+        (
+            Cell(kind),
+            Cell(str(counts[kind]), key=counts[kind]),
+            *(metric_cell(summary[name]) for name in columns),
+        )
         for kind, summary in results.by("kind").items()
     )
     return Table(caption, ("kind", "n", *map(heading, columns)), rows)
@@ -121,23 +168,35 @@ def heading(name: str) -> str:
 
 
 def metric_cell(estimate: Estimate, mark: str = "") -> Cell:
-    """Return a value and its interval, fractions in per cent; a dash where no episode meets the condition."""
+    """Return a value and its interval, fractions in per cent; a dash where no episode meets the
+    condition.
+    """
     if estimate.value is None or estimate.low is None or estimate.high is None:
         return Cell("-")
     scale, digits = (100, 1) if estimate.unit == "fraction" else (1, 2)
-    value, *ends = (f"{scale * end:.{digits}f}" for end in (estimate.value, estimate.low, estimate.high))
+    value, *ends = (
+        f"{scale * end:.{digits}f}" for end in (estimate.value, estimate.low, estimate.high)
+    )
     return Cell(value, f"[{', '.join(ends)}]", estimate.value, mark)
 
 
 def _best(results: Sequence[Results], columns: Sequence[str]) -> set[tuple[int, str]]:
-    """Return (row, metric) of the best values among rows under equal conditions, if there are two at least."""
+    """Return (row, metric) of the best values among rows under equal conditions, if there are two
+    at least.
+    """
     groups: dict[tuple[str, ...], list[int]] = defaultdict(list)
     for place, result in enumerate(results):
         groups[tuple(conditions(result)[:-1])].append(place)
     best = set()
     for places, name in product(groups.values(), columns):
-        known = {place: value for place in places if (value := results[place].summary[name].value) is not None}
+        known = {
+            place: value
+            for place in places
+            if (value := results[place].summary[name].value) is not None
+        }
         if len(known) > 1:
-            top = max(known.values()) if METRICS[name].direction == "higher" else min(known.values())
+            top = (
+                max(known.values()) if METRICS[name].direction == "higher" else min(known.values())
+            )
             best |= {(place, name) for place, value in known.items() if value == top}
     return best

@@ -17,19 +17,22 @@ EXPERTS: Registry[type[Expert]] = Registry("expert", "dynahoi_lerobot.experts")
 
 @dataclass(frozen=True, eq=False)
 class WorldView:
-    """What is known of one world at one frame; unlike ``WorldState``, in the world frame, as the episode is drawn.
+    """What is known of one world at one frame; unlike ``WorldState``, in the world frame, as the
+    episode is drawn.
 
     Attributes:
         spec: the episode.
-        state: (18,) where the hand will be when a command given now takes effect: palm centre [m], world, and joint
-            angles [rad].
+        state: (18,) where the hand will be when a command given now takes effect: palm centre [m],
+            world, and joint angles [rad].
         frame: of the episode, now.
-        due_frame: the frame at which the command takes effect; in the observation window, the first that does.
+        due_frame: the frame at which the command takes effect; in the observation window, the first
+            that does.
         target_pos_w: (3,) position of the target now [m], world.
         target_velocity_w: (3,) its linear velocity now [m/s], world.
         localized: the target has been localised.
         control: limits of the hand, and latency.
-        localization_radius_m: palm centre to target centre, below which the target is localised [m].
+        localization_radius_m: palm centre to target centre, below which the target is localised
+            [m].
     """
 
     spec: EpisodeSpec
@@ -56,14 +59,18 @@ class SingleWorldExpert(Expert):
 
 
 class Teacher(SingleWorldExpert):
-    """An expert that is a function of the state alone, so that it can label whatever state somebody else gets into."""
+    """An expert that is a function of the state alone, so that it can label whatever state somebody
+    else gets into.
+    """
 
     @abstractmethod
     def goal(self, world: WorldView) -> np.ndarray:
-        """Return (18,) where the hand of one world should get to, and how far closed it should be now.
+        """Return (18,) where the hand of one world should get to, and how far closed it should be
+        now.
 
-        Palm centre [m], world, which may lie beyond the reach of one frame, and joint angles [rad]. In the observation
-        window it is what the teacher would command were control active; after the catch it holds still.
+        Palm centre [m], world, which may lie beyond the reach of one frame, and joint angles [rad].
+        In the observation window it is what the teacher would command were control active; after
+        the catch it holds still.
         """
 
     def goals(self, state: WorldState) -> np.ndarray:
@@ -72,7 +79,9 @@ class Teacher(SingleWorldExpert):
 
 
 def _each(world: WorldState, command: Callable[[WorldView], np.ndarray]) -> np.ndarray:
-    """(N, 18) what ``command`` says for each world, world frame, in its home frame; zeros without an episode."""
+    """(N, 18) what ``command`` says for each world, world frame, in its home frame; zeros without
+    an episode.
+    """
     commands = np.zeros((len(world.specs), HAND_DOF))
     for i, spec in enumerate(world.specs):
         if spec is not None:

@@ -1,4 +1,6 @@
-"""Baselines: no motion, no prediction, simple predictions of a target seen perfectly, and paths found blindly."""
+"""Baselines: no motion, no prediction, simple predictions of a target seen perfectly, and paths
+found blindly.
+"""
 
 import functools
 from collections.abc import Callable
@@ -14,12 +16,17 @@ from dynahoi_lerobot.hands import HANDS
 
 Command = Callable[[WorldView], np.ndarray]
 """Returns (18,) the command of one world: palm centre [m], world, and joint angles [rad]."""
-PATH_FILES = {"standard": "blind_path.csv", "late": "blind_path.csv", "unlimited": "blind_path_unlimited.csv"}
-"""By control class: palm positions relative to home [m], one line per frame from the first control step on; it is what
-``benchmarks/validity.py --search`` finds at the speed of the class."""
+PATH_FILES = {
+    "standard": "blind_path.csv",
+    "late": "blind_path.csv",
+    "unlimited": "blind_path_unlimited.csv",
+}
+"""By control class: palm positions relative to home [m], one line per frame from the first control
+step on; it is what ``benchmarks/validity.py --search`` finds at the speed of the class."""
 TABLE_FILE = Path(__file__).with_name("nearest_home.csv")
-"""One line for each home: its position [m], world, then palm positions relative to it [m], one for each frame from the
-first control step on; it is what ``benchmarks/validity.py --search --homes`` finds."""
+"""One line for each home: its position [m], world, then palm positions relative to it [m], one for
+each frame from the first control step on; it is what ``benchmarks/validity.py --search --homes``
+finds."""
 
 
 @EXPERTS.register("hold")
@@ -45,15 +52,23 @@ class Pursuit(Teacher):
         return approach(world, _standing(world), world.control.palm_speed_m_s)
 
     def goal(self, world: WorldView) -> np.ndarray:
-        """Return (18,) where the target is, and fingers that close by time to go; after the catch, the held pose."""
+        """Return (18,) where the target is, and fingers that close by time to go; after the catch,
+        the held pose.
+        """
         return meeting_goal(world, _standing(world), world.control.palm_speed_m_s)
 
 
 def baseline(name: str, *, privileged: bool = True) -> Callable[[Command], Command]:
-    """Return a decorator that registers a function of one world as the expert ``name``; its docstring describes it."""
+    """Return a decorator that registers a function of one world as the expert ``name``; its
+    docstring describes it.
+    """
 
     def decorate(command: Command) -> Command:
-        members = {"privileged": privileged, "command": staticmethod(command), "__doc__": command.__doc__}
+        members = {
+            "privileged": privileged,
+            "command": staticmethod(command),
+            "__doc__": command.__doc__,
+        }
         EXPERTS.register(name)(type(name, (SingleWorldExpert,), members))
         return command
 
@@ -62,7 +77,9 @@ def baseline(name: str, *, privileged: bool = True) -> Callable[[Command], Comma
 
 @baseline("constant_velocity")
 def constant_velocity(world: WorldView) -> np.ndarray:
-    """Extrapolate the true velocity and replan in every frame, at the control class's full speed."""
+    """Extrapolate the true velocity and replan in every frame, at the control class's full
+    speed.
+    """
     moved = _ahead_s(world) * world.target_velocity_w
     return approach(world, world.target_pos_w + moved, world.control.palm_speed_m_s)
 
@@ -77,7 +94,8 @@ def constant_acceleration(world: WorldView) -> np.ndarray:
 
 @baseline("blind_path", privileged=False)
 def blind_path(world: WorldView) -> np.ndarray:
-    """Follow a fixed path from home with closed fingers; its score needs neither perception nor prediction.
+    """Follow a fixed path from home with closed fingers; its score needs neither perception nor
+    prediction.
 
     The path is the best one found for the speed of the control class.
     """
@@ -86,7 +104,8 @@ def blind_path(world: WorldView) -> np.ndarray:
 
 @baseline("nearest_home")
 def nearest_home(world: WorldView) -> np.ndarray:
-    """Follow the stored path of the nearest tabulated home; its score shows what the home gives away.
+    """Follow the stored path of the nearest tabulated home; its score shows what the home gives
+    away.
 
     Policies cannot do this: they observe positions from their home, wherever that is.
     """
@@ -100,7 +119,9 @@ def _standing(world: WorldView) -> np.ndarray:
 
 
 def _ahead_s(world: WorldView) -> np.ndarray:
-    """Return (K, 1) the times [s] from now at which the target may be met, the first when a command takes effect."""
+    """Return (K, 1) the times [s] from now at which the target may be met, the first when a command
+    takes effect.
+    """
     return (world.control.latency_frames + np.arange(EXTRAPOLATED_FRAMES + 1))[:, None] * CONTROL_DT
 
 
@@ -111,7 +132,9 @@ def _along(path: np.ndarray, world: WorldView) -> np.ndarray:
 
 
 def _acceleration(world: WorldView) -> np.ndarray:
-    """Return (3,) the mean acceleration [m/s^2] over the last two frames of the untouched target."""
+    """Return (3,) the mean acceleration [m/s^2] over the last two frames of the untouched
+    target.
+    """
     frame = min(max(world.frame, 2), len(world.spec.target_path_w) - 1)
     before, last, now = world.spec.target_path_w[frame - 2 : frame + 1]
     return (now - 2 * last + before) / CONTROL_DT**2
@@ -131,6 +154,8 @@ def fist(hand: str) -> np.ndarray:
 
 @functools.cache
 def home_table() -> tuple[np.ndarray, np.ndarray]:
-    """Return (H, 3) homes [m], world, and (H, K, 3) palm positions from there [m] after 1, 2, ... control steps."""
+    """Return (H, 3) homes [m], world, and (H, K, 3) palm positions from there [m] after 1, 2, ...
+    control steps.
+    """
     table = np.loadtxt(TABLE_FILE, delimiter=",", ndmin=2)
     return table[:, :PALM_DOF], table[:, PALM_DOF:].reshape(len(table), -1, PALM_DOF)

@@ -1,4 +1,6 @@
-"""Catching by contact: move along with the target, come up from behind it, close, and brake with it in the hand."""
+"""Catching by contact: move along with the target, come up from behind it, close, and brake with it
+in the hand.
+"""
 
 import numpy as np
 
@@ -15,23 +17,29 @@ SEAT_M = np.array([-0.006, 0.0, 0.004])
 BEHIND_M = 0.06
 """The hand waits this far behind the target, along the palm's normal, until it is in line."""
 IN_LINE_M, OUT_OF_LINE_M = 0.005, 0.105
-"""Lateral distances from the palm's axis: up to the first the hand closes in, from the second it keeps `BEHIND_M`."""
+"""Lateral distances from the palm's axis: up to the first the hand closes in, from the second it
+keeps `BEHIND_M`."""
 PRESS_M = 0.02
 """In line, the palm presses this far beyond the seat."""
 DETOUR_M, AHEAD_M = 0.13, 0.01
-"""A palm more than `AHEAD_M` in front of the target first moves sideways, until it is `DETOUR_M` off the axis."""
+"""A palm more than `AHEAD_M` in front of the target first moves sideways, until it is `DETOUR_M`
+off the axis."""
 STEP_M, CLOSING_STEP_M = 0.05, 0.015
-"""Greatest displacement relative to the target in a frame, in general and when closing in along the normal."""
+"""Greatest displacement relative to the target in a frame, in general and when closing in along the
+normal."""
 LATERAL_SHARE = 0.7
 """Share of a small lateral error that is corrected in a frame."""
 CLOSES_M, CLOSES_AT_M, CLOSES_AHEAD_M = 0.0225, -0.017, 0.03
-"""Fingers close within `CLOSES_M` of the axis, from `CLOSES_AT_M` to `CLOSES_AHEAD_M` along the normal."""
+"""Fingers close within `CLOSES_M` of the axis, from `CLOSES_AT_M` to `CLOSES_AHEAD_M` along the
+normal."""
 SQUEEZE_RAD = 0.3
 """Joints are commanded this far beyond the closed pose, which produces the grip force."""
 HELD_M, HELD_SHARE = 0.05, 0.5
-"""Fingers closed by more than `HELD_SHARE` are taken to hold a target within `HELD_M` of its seat."""
+"""Fingers closed by more than `HELD_SHARE` are taken to hold a target within `HELD_M` of its
+seat."""
 BRAKE_SHARE, LIFT_M_S = 0.15, np.array([0.0, 0.0, 0.15])
-"""In each frame, the velocity of a held target changes by `BRAKE_SHARE` of its difference from `LIFT_M_S`."""
+"""In each frame, the velocity of a held target changes by `BRAKE_SHARE` of its difference from
+`LIFT_M_S`."""
 LONGEST_WAY_M = GANTRY_SPEED_M_S * CONTROL_DT
 """Greatest displacement of the palm in a frame, along each axis."""
 ON_PATH_M = 0.01
@@ -40,7 +48,9 @@ ON_PATH_M = 0.01
 
 @EXPERTS.register("match")
 class Match(Teacher):
-    """Velocity-matched approach with a power grasp, for the capture rule ``contact``; a function of the state."""
+    """Velocity-matched approach with a power grasp, for the capture rule ``contact``; a function of
+    the state.
+    """
 
     def command(self, world: WorldView) -> np.ndarray:
         """Return (18,) the command of one world."""
@@ -71,10 +81,12 @@ class Match(Teacher):
 
 
 def approach(offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return where an open hand should be relative to the target one frame later, and whether to close the fingers.
+    """Return where an open hand should be relative to the target one frame later, and whether to
+    close the fingers.
 
     Args:
-        offset: (..., 3) of the palm centre from where it is when the target is in its seat [m], world.
+        offset: (..., 3) of the palm centre from where it is when the target is in its seat [m],
+            world.
 
     Returns:
         (..., 3) [m], world, and (...) bool.
@@ -94,12 +106,16 @@ def approach(offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def braked(velocity: np.ndarray) -> np.ndarray:
-    """Return the velocity (..., 3) [m/s] of a hand one frame later that brakes and lifts the target it holds."""
+    """Return the velocity (..., 3) [m/s] of a hand one frame later that brakes and lifts the target
+    it holds.
+    """
     return velocity + (LIFT_M_S - velocity) * BRAKE_SHARE
 
 
 def _target(world: WorldView) -> tuple[np.ndarray, np.ndarray]:
-    """Return (3,) where the target is when the command takes effect, and a frame later [m], world."""
+    """Return (3,) where the target is when the command takes effect, and a frame later [m],
+    world.
+    """
     path = world.spec.target_path_w
     if norm(world.target_pos_w - path[min(world.frame, len(path) - 1)]) > ON_PATH_M:
         return world.target_pos_w, world.target_pos_w + world.target_velocity_w * CONTROL_DT

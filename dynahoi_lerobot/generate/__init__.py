@@ -1,1 +1,3 @@
-"""Generation of datasets: plan, shards, worker processes, cluster executors, and policies that act in them."""
+"""Generation of datasets: plan, shards, worker processes, cluster executors, and policies that act
+in them.
+"""

@@ -1,4 +1,5 @@
-"""The policy that moves the hand in on-policy recordings: named by the content of its checkpoint, alone on the CPU.
+"""The policy that moves the hand in on-policy recordings: named by the content of its checkpoint,
+alone on the CPU.
 
 Nothing here imports torch before a policy is loaded.
 """
@@ -26,7 +27,8 @@ PARTS = (CONFIG, "policy_*.json", "*.safetensors")
 class RecordedPolicy(Agent):
     """A policy whose actions follow from what it sees and from a seed.
 
-    It has random numbers of its own and one thread: with more, sums may be rounded in another order.
+    It has random numbers of its own and one thread: with more, sums may be rounded in another
+    order.
     """
 
     def __init__(self, policy: PolicyAgent, seed: int) -> None:
@@ -41,7 +43,9 @@ class RecordedPolicy(Agent):
         self._policy.reset(count)
 
     def act(self, observation: Observation) -> np.ndarray:
-        """Return (N, 18) commands: palm position [m], home frame, and joint angles [rad] for the next frame."""
+        """Return (N, 18) commands: palm position [m], home frame, and joint angles [rad] for the
+        next frame.
+        """
         import torch
 
         threads = torch.get_num_threads()
@@ -61,24 +65,32 @@ def open_policy(path: str, *, trust: bool = False) -> PolicyAgent:
 
     Raises:
         PolicyError: if there is no such policy, if it reads ``observation.environment_state``, if
-            a repository is to be trusted, whose content would not be named, or if loading it could run code of its
-            own, unless ``trust`` allows that.
+            a repository is to be trusted, whose content would not be named, or if loading it could
+            run code of its own, unless ``trust`` allows that.
     """
     if trust and not Path(path).is_dir():
-        raise PolicyError(f"--trust needs a folder as the actor, got {path!r}; download the repository first")
+        raise PolicyError(
+            f"--trust needs a folder as the actor, got {path!r}; download the repository first"
+        )
     policy = PolicyAgent(path, "cpu", trust=trust)
     if policy.environment_state:
-        raise PolicyError(f"{path} reads {ENVIRONMENT_STATE}; an actor sees images and the hand alone")
+        raise PolicyError(
+            f"{path} reads {ENVIRONMENT_STATE}; an actor sees images and the hand alone"
+        )
     return policy
 
 
 @cache
 def _opened(path: str, name: str, on: str, trust: bool) -> PolicyAgent:
-    """Load a policy once in a process, if it is still the one of that name, and this machine acts to the same bits."""
+    """Load a policy once in a process, if it is still the one of that name, and this machine acts
+    to the same bits.
+    """
     policy = open_policy(path, trust=trust)
     for found, wanted in ((actor_name(path), name), (runtime(policy), on)):
         if found != wanted:
-            raise PolicyError(f"the checkpoint {path} is {found} here; the recording is of {wanted}")
+            raise PolicyError(
+                f"the checkpoint {path} is {found} here; the recording is of {wanted}"
+            )
     return policy
 
 
@@ -92,7 +104,9 @@ def make_actor(seed: int, *, path: str, name: str, on: str, trust: bool = False)
 
 
 def actor_name(path: str) -> str:
-    """Return ``TYPE@HASH`` of a checkpoint that can be loaded: its policy's type, 16 digits of its files' sha256."""
+    """Return ``TYPE@HASH`` of a checkpoint that can be loaded: its policy's type, 16 digits of its
+    files' sha256.
+    """
     folder = Path(path) if Path(path).is_dir() else checked_folder(path)
     digest = hashlib.sha256()
     for file in sorted({file for part in PARTS for file in folder.glob(part)}):
@@ -102,11 +116,16 @@ def actor_name(path: str) -> str:
 
 
 def runtime(policy: PolicyAgent) -> str:
-    """Return what besides its checkpoint decides the bits of what a policy does: libraries, processor, sources."""
+    """Return what besides its checkpoint decides the bits of what a policy does: libraries,
+    processor, sources.
+    """
     import lerobot
     import torch
 
     sources = hashlib.sha256(hash_packages({policy.package} - {"lerobot"}))
     sources.update((Path(dynahoi_lerobot.__file__).parent / POLICY_SOURCE).read_bytes())
     capability = torch.backends.cpu.get_cpu_capability()
-    return f"torch {torch.__version__}, lerobot {lerobot.__version__}, {capability}, {sources.hexdigest()[:16]}"
+    return (
+        f"torch {torch.__version__}, lerobot {lerobot.__version__}, {capability}, "
+        f"{sources.hexdigest()[:16]}"
+    )

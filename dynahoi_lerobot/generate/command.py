@@ -43,11 +43,14 @@ class Options:
     rules: dict[str, Any] = given_of(Recipe, {*PLAYING, *RECORDING} - {"actor"})
     subtasks: bool = option(False, "store the current subtask in LeRobot's language column")
     workers: int = option(1, "number of processes", whole(1, 4096))
-    shard_episodes: int | None = option(None, "episodes per shard; by default an eighth of all, at most 256")
+    shard_episodes: int | None = option(
+        None, "episodes per shard; by default an eighth of all, at most 256"
+    )
     encoding: dict[str, Any] = given_of(Encoding, ("codec", "crf", "preset", "gop"))
     video_seconds: float = option(
         FileLimits.video_s,
-        "maximum length of a video file [s], and at most 200 MB; LeRobot can only stream one file per view",
+        "maximum length of a video file [s], and at most 200 MB; LeRobot can only stream one "
+        "file per view",
         number(1.0, LONGEST_VIDEO_S),
     )
     executor: str | None = option(None, "run the shards as datatrove tasks", choices=EXECUTORS)
@@ -69,7 +72,8 @@ def run(options: Options, *, record: Record | None = None, recipe: Recipe | None
 
     Args:
         options: what the command line says.
-        record: plays the expert without ``--actor``; ``dynahoi_lerobot.rollout.loop.record`` by default.
+        record: plays the expert without ``--actor``; ``dynahoi_lerobot.rollout.loop.record`` by
+            default.
         recipe: what the options override; that of ``--recipe``, or the default recipe, by default.
 
     Returns:
@@ -79,7 +83,11 @@ def run(options: Options, *, record: Record | None = None, recipe: Recipe | None
     check_root(options.root)
     complete = options.root.exists()
     if options.executor is None:
-        refuse_given(options, FOR_EXECUTORS, f"needs --executor {', '.join(EXECUTORS[:-1])} or {EXECUTORS[-1]}")
+        refuse_given(
+            options,
+            FOR_EXECUTORS,
+            f"needs --executor {', '.join(EXECUTORS[:-1])} or {EXECUTORS[-1]}",
+        )
     recipe, runs_on = recipe or load_recipe(options.recipe), ""
     if options.actor is not None:
         recipe, record, runs_on = _on_policy(options.actor, options, recipe)
@@ -97,9 +105,15 @@ def run(options: Options, *, record: Record | None = None, recipe: Recipe | None
             print(executors.describe(*work))
             return 0
     record = record or partial(loop.record, threads=_threads(options))
-    with tqdm(total=plan.episodes, desc="generating", unit="episode", smoothing=0.05, disable=None) as bar:
+    with tqdm(
+        total=plan.episodes, desc="generating", unit="episode", smoothing=0.05, disable=None
+    ) as bar:
         manifest = generate(
-            plan, options.root, record=record, workers=options.workers, progress=lambda done: bar.update(done - bar.n)
+            plan,
+            options.root,
+            record=record,
+            workers=options.workers,
+            progress=lambda done: bar.update(done - bar.n),
         )
     if complete:
         print(f"{options.root} was already complete and agrees with its manifest", file=sys.stderr)
@@ -116,21 +130,33 @@ def _on_policy(actor: str, options: Options, recipe: Recipe) -> tuple[Recipe, Re
     if recipe.actor not in ("", name):
         raise ValueError(f"the recipe names the actor {recipe.actor}; --actor {actor} is {name}")
     views = tuple(dict.fromkeys((*recipe.views, *policy.views)))
-    trained = {key: policy.trained_for[key] for key in ("control_mode", "image_size") if key in policy.trained_for}
+    trained = {
+        key: policy.trained_for[key]
+        for key in ("control_mode", "image_size")
+        if key in policy.trained_for
+    }
     recipe = replace(recipe, actor=name, views=views, **trained)
     runs_on = runtime(policy)
     make = partial(make_actor, path=actor, name=name, on=runs_on, trust=options.trust)
-    return recipe, partial(loop.record_on_policy, make_agent=make, threads=_threads(options)), runs_on
+    return (
+        recipe,
+        partial(loop.record_on_policy, make_agent=make, threads=_threads(options)),
+        runs_on,
+    )
 
 
 def _threads(options: Options) -> int:
-    """Return how many threads share the worlds of one process: all cores (0) if it is the only one."""
+    """Return how many threads share the worlds of one process: all cores (0) if it is the only
+    one.
+    """
     return 0 if options.workers == 1 else 1
 
 
 def _plan(options: Options, recipe: Recipe, runs_on: str) -> GenerationPlan:
     if recipe.actor and options.actor is None:
-        raise ValueError(f"the recipe names the actor {recipe.actor}; give its checkpoint with --actor")
+        raise ValueError(
+            f"the recipe names the actor {recipe.actor}; give its checkpoint with --actor"
+        )
     return GenerationPlan(
         recipe.changed(**options.rules),
         options.episodes,
@@ -148,7 +174,9 @@ def _encoding(options: Options) -> Encoding:
     encoding = Encoding(**given)
     settings = [name for name in given if name != "codec"]
     if settings and not encoding.is_video:
-        raise ValueError(f"{settings[0]} is {given[settings[0]]!r}; images has none, only a video has")
+        raise ValueError(
+            f"{settings[0]} is {given[settings[0]]!r}; images has none, only a video has"
+        )
     return encoding
 
 

@@ -1,4 +1,5 @@
-"""Shards as tasks of datatrove, where one pool of processes is not enough: on Slurm, on Ray, or on this machine.
+"""Shards as tasks of datatrove, where one pool of processes is not enough: on Slurm, on Ray, or on
+this machine.
 
 The extra ``scale`` brings datatrove and Ray.
 """
@@ -16,14 +17,20 @@ from datatrove.executor.ray import RayPipelineExecutor
 from multiprocess.process import parent_process
 
 from dynahoi_lerobot.core.arguments import CommandError
-from dynahoi_lerobot.generate.pipeline import exit_with_parent, finished, open_workspace, workspace_path
+from dynahoi_lerobot.generate.pipeline import (
+    exit_with_parent,
+    finished,
+    open_workspace,
+    workspace_path,
+)
 from dynahoi_lerobot.generate.plan import GenerationPlan, Record, ShardMaker
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 
 DEFAULT_TASKS = 1000
 """As many as Slurm takes in one array, if the plan has so many shards."""
 PER_TASK = ("workers", "cpus_per_task", "mem_per_cpu_gb", "gpus_per_task")
-"""What Slurm and Ray are told alike, by the name that ``ClusterResources`` and datatrove have for it."""
+"""What Slurm and Ray are told alike, by the name that ``ClusterResources`` and datatrove have for
+it."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +38,8 @@ class ClusterResources:
     """The resources that generation asks for.
 
     Attributes:
-        tasks: number of tasks; each makes every tasks-th shard. None for one shard per task, up to ``DEFAULT_TASKS``.
+        tasks: number of tasks; each makes every tasks-th shard. None for one shard per task, up to
+            ``DEFAULT_TASKS``.
         workers: how many tasks run at once; -1 for no limit.
         cpus_per_task: processor cores per task.
         mem_per_cpu_gb: memory per core [GB].
@@ -50,7 +58,8 @@ class ClusterResources:
 
 
 def make_shards(maker: ShardMaker, data: Any, rank: int, world_size: int) -> None:
-    """Task ``rank`` of N makes the shards rank, rank + N, rank + 2 N, ...; those that exist are kept.
+    """Task ``rank`` of N makes the shards rank, rank + N, rank + 2 N, ...; those that exist are
+    kept.
 
     Raises:
         CommandError: if this machine has other code than the plan.
@@ -58,13 +67,18 @@ def make_shards(maker: ShardMaker, data: Any, rank: int, world_size: int) -> Non
     if parent_process() is not None:
         exit_with_parent(os.getppid())
     if (here := code_fingerprint()) != maker.plan.code:
-        raise CommandError(f"the plan was made by code {maker.plan.code}, this machine has {here}; update it")
+        raise CommandError(
+            f"the plan was made by code {maker.plan.code}, this machine has {here}; update it"
+        )
     for shard in range(rank, maker.plan.shards, world_size):
         maker.make(shard)
 
 
-def merge_shards(maker: ShardMaker, root: Path, data: Any = None, rank: int = 0, world_size: int = 1) -> None:
-    """One task checks all shards, merges them into ``root`` unless that is done already, and removes them.
+def merge_shards(
+    maker: ShardMaker, root: Path, data: Any = None, rank: int = 0, world_size: int = 1
+) -> None:
+    """One task checks all shards, merges them into ``root`` unless that is done already, and
+    removes them.
 
     Raises:
         CommandError: if a shard is missing, or was damaged after it was made.
@@ -72,14 +86,21 @@ def merge_shards(maker: ShardMaker, root: Path, data: Any = None, rank: int = 0,
     if finished(maker.plan, root) is None:
         damaged = maker.discard_damaged()
         if missing := maker.missing():
-            found = f"{len(missing)} of {maker.plan.shards} shards are missing, {len(damaged)} were damaged"
-            raise CommandError(f"{found}; see {maker.folder / 'logs'}, and run the same command again")
+            found = (
+                f"{len(missing)} of {maker.plan.shards} shards are missing, {len(damaged)} "
+                f"were damaged"
+            )
+            raise CommandError(
+                f"{found}; see {maker.folder / 'logs'}, and run the same command again"
+            )
         maker.merge(root)
     for shard in range(maker.plan.shards):
         shutil.rmtree(maker.path(shard), ignore_errors=True)
 
 
-def run(kind: str, plan: GenerationPlan, root: Path, record: Record, resources: ClusterResources) -> bool:
+def run(
+    kind: str, plan: GenerationPlan, root: Path, record: Record, resources: ClusterResources
+) -> bool:
     """Make the dataset of a plan, or hand it to a queue. Shards that exist are checked and kept.
 
     Args:
@@ -94,7 +115,9 @@ def run(kind: str, plan: GenerationPlan, root: Path, record: Record, resources: 
     if finished(plan, root) is not None:
         return True
     if kind == "slurm" and shutil.which("sbatch") is None:
-        raise CommandError("--executor slurm needs Slurm's command sbatch, which this machine does not have")
+        raise CommandError(
+            "--executor slurm needs Slurm's command sbatch, which this machine does not have"
+        )
     with open_workspace(plan, root) as workspace:
         maker = ShardMaker(plan, workspace, record)
         maker.discard_damaged()
@@ -110,15 +133,22 @@ def run(kind: str, plan: GenerationPlan, root: Path, record: Record, resources: 
     return True
 
 
-def describe(kind: str, plan: GenerationPlan, root: Path, record: Record, resources: ClusterResources) -> str:
+def describe(
+    kind: str, plan: GenerationPlan, root: Path, record: Record, resources: ClusterResources
+) -> str:
     """Return what ``run`` would do, without doing it; for Slurm both batch scripts."""
     root, tasks = root.absolute(), min(resources.tasks or DEFAULT_TASKS, plan.shards)
     maker = ShardMaker(plan, workspace_path(root), record)
     if kind != "slurm":
-        return f"{plan.shards} shards of up to {plan.shard_episodes} episodes in {tasks} tasks, merged into {root}"
+        return (
+            f"{plan.shards} shards of up to {plan.shard_episodes} episodes in {tasks} tasks, "
+            f"merged into {root}"
+        )
     existed, scripts = maker.folder.exists(), []
     for job in _executors(kind, maker, root, resources):
-        launch = f"srun -l -n 1 launch_pickled_pipeline {job.logging_dir.resolve_paths('executor.pik')}"
+        launch = (
+            f"srun -l -n 1 launch_pickled_pipeline {job.logging_dir.resolve_paths('executor.pik')}"
+        )
         scripts.append(job.get_launch_file_contents(job.get_sbatch_args(job.tasks), launch))
     if not existed:  # datatrove makes the log folders while it writes the scripts
         shutil.rmtree(maker.folder, ignore_errors=True)
@@ -126,15 +156,23 @@ def describe(kind: str, plan: GenerationPlan, root: Path, record: Record, resour
 
 
 def _executors(kind: str, maker: ShardMaker, root: Path, resources: ClusterResources) -> list[Any]:
-    """Return datatrove's executors of that kind, of the tasks that make shards and of the one that merges them."""
+    """Return datatrove's executors of that kind, of the tasks that make shards and of the one that
+    merges them.
+    """
     tasks = min(resources.tasks or DEFAULT_TASKS, maker.plan.shards)
     return [
-        _executor(kind, maker.folder, resources, partial(make_shards, maker), name="shards", tasks=tasks),
-        _executor(kind, maker.folder, resources, partial(merge_shards, maker, root), name="merge", tasks=1),
+        _executor(
+            kind, maker.folder, resources, partial(make_shards, maker), name="shards", tasks=tasks
+        ),
+        _executor(
+            kind, maker.folder, resources, partial(merge_shards, maker, root), name="merge", tasks=1
+        ),
     ]
 
 
-def _executor(kind: str, folder: Path, resources: ClusterResources, function: Any, *, name: str, tasks: int) -> Any:
+def _executor(
+    kind: str, folder: Path, resources: ClusterResources, function: Any, *, name: str, tasks: int
+) -> Any:
     options = {"tasks": tasks, "logging_dir": str(folder / "logs" / name), "skip_completed": False}
     if kind == "local":
         workers = tasks if resources.workers == -1 else min(resources.workers, tasks)
@@ -154,7 +192,8 @@ def _executor(kind: str, folder: Path, resources: ClusterResources, function: An
 
 def _connect_to_ray() -> None:
     """Use the cluster that ``ray.init`` finds, this machine if there is none."""
-    # Below `uv run` Ray would start its workers by `uv run` in a copy of the working folder, where they die.
+    # Below `uv run` Ray would start its workers by `uv run` in a copy of the working folder, where
+    # they die.
     os.environ.setdefault("RAY_ENABLE_UV_RUN_RUNTIME_ENV", "0")
     import ray
 

@@ -1,4 +1,5 @@
-"""generate: make all shards of a plan, check them and merge them. Stop it anywhere and start it again.
+"""generate: make all shards of a plan, check them and merge them. Stop it anywhere and start it
+again.
 
 Shards are made in the workspace ``<root>.partial`` by one run at a time, on one process or several.
 """
@@ -34,16 +35,22 @@ POLL_S = 0.2
 
 
 def generate(
-    plan: GenerationPlan, root: Path, *, record: Record, workers: int = 1, progress: Progress = lambda _: None
+    plan: GenerationPlan,
+    root: Path,
+    *,
+    record: Record,
+    workers: int = 1,
+    progress: Progress = lambda _: None,
 ) -> Manifest:
     """Make the dataset of a plan.
 
-    ``root`` exists only when it is complete. Whatever ended an earlier run, the shards it finished are checked and
-    kept, and the result is the same.
+    ``root`` exists only when it is complete. Whatever ended an earlier run, the shards it finished
+    are checked and kept, and the result is the same.
 
     Args:
         plan: what to make.
-        root: the dataset's folder; if it already holds this very dataset, its files are checked and nothing is made.
+        root: the dataset's folder; if it already holds this very dataset, its files are checked and
+            nothing is made.
         record: plays the expert; a module's function if ``workers`` is more than 1.
         workers: processes; the result is the same for any number.
         progress: called with the number of episodes that are done.
@@ -51,8 +58,8 @@ def generate(
     Raises:
         BlockingIOError: if another process is making this dataset.
         FileExistsError: if ``root`` or the unfinished work beside it belongs to something else.
-        CommandError: if the expert cannot make the episodes, processes keep dying, or the files of a finished
-            dataset have changed.
+        CommandError: if the expert cannot make the episodes, processes keep dying, or the files of
+            a finished dataset have changed.
         ValueError: if no folder can be made at ``root``.
     """
     check_output(root)
@@ -79,16 +86,21 @@ def finished(plan: GenerationPlan, root: Path) -> Manifest | None:
     try:
         manifest = Manifest.read(root)
     except ReadError:
-        raise FileExistsError(f"{root} exists and is no dataset of ours; choose another folder") from None
+        raise FileExistsError(
+            f"{root} exists and is no dataset of ours; choose another folder"
+        ) from None
     if names := differences(manifest.provenance, plan.identity()):
-        raise FileExistsError(f"{root} holds another dataset (other {names}); choose another folder")
+        raise FileExistsError(
+            f"{root} holds another dataset (other {names}); choose another folder"
+        )
     if problem := next(file_problems(root, manifest), None):
         raise CommandError(f"{root} is complete but damaged: {problem}; remove it to make it again")
     return manifest
 
 
 def make_missing(maker: ShardMaker, workers: int, progress: Progress) -> None:
-    """Make every shard that is not there yet; when a process dies, the shards it was making are made again.
+    """Make every shard that is not there yet; when a process dies, the shards it was making are
+    made again.
 
     Raises:
         CommandError: if processes keep dying.
@@ -103,7 +115,8 @@ def make_missing(maker: ShardMaker, workers: int, progress: Progress) -> None:
         with suppress(BrokenProcessPool):
             return _run_pool(maker, workers, progress)
     raise CommandError(
-        f"worker processes died {STARTS} times with {len(maker.missing())} shards to go; fewer workers need less memory"
+        f"worker processes died {STARTS} times with {len(maker.missing())} shards to go; fewer "
+        f"workers need less memory"
     )
 
 
@@ -117,7 +130,9 @@ def _run_pool(maker: ShardMaker, workers: int, progress: Progress) -> None:
     missing = maker.missing()
     counter = context.Value("q", _done_episodes(maker.plan, missing))
     count = max(1, min(workers, len(missing)))
-    with ProcessPoolExecutor(count, context, initializer=_enter, initargs=(counter, os.getpid())) as pool:
+    with ProcessPoolExecutor(
+        count, context, initializer=_enter, initargs=(counter, os.getpid())
+    ) as pool:
         pending = {pool.submit(maker.make, shard, _count) for shard in missing}
         try:
             while pending:
@@ -147,7 +162,9 @@ def _count() -> None:
 
 
 def exit_with_parent(parent: int) -> None:
-    """End this process soon after its ``parent``, a process id, has ended, however that happens; now, if it has."""
+    """End this process soon after its ``parent``, a process id, has ended, however that happens;
+    now, if it has.
+    """
 
     def watch() -> None:
         while os.getppid() == parent:
@@ -163,12 +180,16 @@ def workspace_path(root: Path) -> Path:
 
 
 def open_workspace(plan: GenerationPlan, root: Path) -> AbstractContextManager[Path]:
-    """Return the context of a workspace, new or of an interrupted run of the same plan, see ``working_folder``."""
+    """Return the context of a workspace, new or of an interrupted run of the same plan, see
+    ``working_folder``.
+    """
     return working_folder(workspace_path(root), plan.identity())
 
 
 def remove_workspace(plan: GenerationPlan, root: Path) -> None:
-    """Remove what generation made in the plan's workspace, and the workspace if nothing else is in it."""
+    """Remove what generation made in the plan's workspace, and the workspace if nothing else is in
+    it.
+    """
     workspace = workspace_path(root)
     if not workspace.is_dir() or read_task(workspace) != plan.identity():
         return
@@ -181,4 +202,6 @@ def remove_workspace(plan: GenerationPlan, root: Path) -> None:
         workspace.rmdir()
     except OSError:
         names = ", ".join(sorted(path.name for path in workspace.iterdir()))
-        logger.warning("%s stays, because generation did not make all that is in it: %s", workspace, names)
+        logger.warning(
+            "%s stays, because generation did not make all that is in it: %s", workspace, names
+        )

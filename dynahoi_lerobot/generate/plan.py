@@ -1,6 +1,8 @@
-"""What is to be made: a plan of which seeds go into which shard, and its shards. A dataset is a function of the plan.
+"""What is to be made: a plan of which seeds go into which shard, and its shards. A dataset is a
+function of the plan.
 
-Shards are fixed lists of seeds, each written beside its place, renamed when complete, and checked before merging.
+Shards are fixed lists of seeds, each written beside its place, renamed when complete, and checked
+before merging.
 """
 
 import json
@@ -30,8 +32,8 @@ from dynahoi_lerobot.sampling.splits import MAX_DRAWS, REDRAW_STRIDE
 logger = logging.getLogger(__name__)
 
 Record = Callable[[Any, Sequence[int]], Iterator[Episode]]
-"""Plays the expert in a recipe: yields the episodes among the seeds that are to be stored, in their order, at most one
-per seed, which is a deterministic function of (recipe, seed)."""
+"""Plays the expert in a recipe: yields the episodes among the seeds that are to be stored, in their
+order, at most one per seed, which is a deterministic function of (recipe, seed)."""
 Progress = Callable[[int], object]
 """Called now and then with the number of episodes that are done."""
 
@@ -44,7 +46,9 @@ SHARD = "shard-"
 
 
 def shard_size(episodes: int) -> int:
-    """Return how many episodes a shard holds where nothing is said: small datasets, too, keep eight workers busy."""
+    """Return how many episodes a shard holds where nothing is said: small datasets, too, keep eight
+    workers busy.
+    """
     return max(1, min(LARGEST_SHARD, -(-episodes // 8)))
 
 
@@ -52,8 +56,8 @@ def shard_size(episodes: int) -> int:
 class GenerationPlan:
     """A dataset to be made.
 
-    Episode slot i of the dataset has the seed ``seed + i``, or a redraw of it. So a dataset that starts where
-    another ends shares no seed with it, and the seeds do not depend on the shards.
+    Episode slot i of the dataset has the seed ``seed + i``, or a redraw of it. So a dataset that
+    starts where another ends shares no seed with it, and the seeds do not depend on the shards.
 
     Attributes:
         recipe: what to play.
@@ -63,7 +67,8 @@ class GenerationPlan:
         limits: file size limits.
         shard_episodes: episodes per shard, the unit of work; an interrupted shard is made again.
         code: fingerprint of the code that plans; other machines must have the same.
-        runtime: what else a policy's actions depend on, see ``generate.actor.runtime``; empty without one.
+        runtime: what else a policy's actions depend on, see ``generate.actor.runtime``; empty
+            without one.
         subtasks: whether to store subtasks as LeRobot's column for language.
     """
 
@@ -80,12 +85,18 @@ class GenerationPlan:
     def __post_init__(self) -> None:
         """Refuse plans that cannot be carried out; ValueError if a number is out of its range."""
         if not 1 <= self.episodes <= REDRAW_STRIDE:
-            raise ValueError(f"the number of episodes is {self.episodes}; it must be 1 to {REDRAW_STRIDE}")
+            raise ValueError(
+                f"the number of episodes is {self.episodes}; it must be 1 to {REDRAW_STRIDE}"
+            )
         if not 1 <= self.shard_episodes <= MAX_SHARD:
-            raise ValueError(f"the number of episodes per shard is {self.shard_episodes}; it must be 1 to {MAX_SHARD}")
+            raise ValueError(
+                f"the number of episodes per shard is {self.shard_episodes}; it must be 1 to "
+                f"{MAX_SHARD}"
+            )
         if not 0 <= self.seed <= REDRAW_STRIDE - self.episodes:
             raise ValueError(
-                f"the seed is {self.seed}; it must be 0 to {REDRAW_STRIDE - self.episodes} for {self.episodes} episodes"
+                f"the seed is {self.seed}; it must be 0 to {REDRAW_STRIDE - self.episodes} for "
+                f"{self.episodes} episodes"
             )
         self.encoding.check_size(self.recipe.image_size)
 
@@ -124,14 +135,18 @@ class ShardMaker:
         return self.folder / f"{SHARD}{shard:06d}"
 
     def missing(self) -> list[int]:
-        """Return the shards that are not there; those that are have been renamed into place when they were complete."""
+        """Return the shards that are not there; those that are have been renamed into place when
+        they were complete.
+        """
         return [shard for shard in range(self.plan.shards) if not self.path(shard).is_dir()]
 
     def make(self, shard: int, tick: Callable[[], object] = lambda: None) -> None:
-        """Make one shard, a dataset of its own, or do nothing if it is there; ``tick`` after each stored episode.
+        """Make one shard, a dataset of its own, or do nothing if it is there; ``tick`` after each
+        stored episode.
 
         Raises:
-            CommandError: if a slot fails MAX_DRAWS times, or the recorder gives an episode of another seed.
+            CommandError: if a slot fails MAX_DRAWS times, or the recorder gives an episode of
+                another seed.
             OSError: if the disk is full or refuses to be written.
         """
         target, plan = self.path(shard), self.plan
@@ -139,24 +154,35 @@ class ShardMaker:
             return
         columns = (*plan.recipe.features(), *episode_features())
         options = (columns, plan.encoding, plan.limits)
-        with new_folder(target) as folder, DatasetWriter(folder, *options, subtasks=plan.subtasks) as writer:
+        with (
+            new_folder(target) as folder,
+            DatasetWriter(folder, *options, subtasks=plan.subtasks) as writer,
+        ):
             tally = self._fill(shard, writer, tick)
             writer.finish(plan.identity(), tally)
 
-    def _fill(self, shard: int, writer: DatasetWriter, tick: Callable[[], object]) -> dict[str, int]:
-        """Write an episode for every slot of a shard; failed slots are drawn again, with other seeds, after all others.
+    def _fill(
+        self, shard: int, writer: DatasetWriter, tick: Callable[[], object]
+    ) -> dict[str, int]:
+        """Write an episode for every slot of a shard; failed slots are drawn again, with other
+        seeds, after all others.
 
         Returns:
             How many seeds were tried, kept (of these failed), missed and rejected.
         """
-        slots, tally = list(self.plan.slots(shard)), Counter(tried=0, kept=0, failed=0, missed=0, rejected=0)
+        slots, tally = (
+            list(self.plan.slots(shard)),
+            Counter(tried=0, kept=0, failed=0, missed=0, rejected=0),
+        )
         for draw in range(MAX_DRAWS):
             seeds = [slot + draw * REDRAW_STRIDE for slot in slots]
             missed, rejected = set(seeds), set[int]()
             for episode in self.record(self.plan.recipe, seeds):
                 seed = episode.meta.seed
                 if seed not in missed:
-                    raise CommandError(f"the recorder gave an episode of seed {seed}, which was not asked for")
+                    raise CommandError(
+                        f"the recorder gave an episode of seed {seed}, which was not asked for"
+                    )
                 missed.remove(seed)
                 if trajectory_problems(episode):
                     rejected.add(seed)
@@ -171,7 +197,8 @@ class ShardMaker:
             if not slots:
                 return dict(tally)
         raise CommandError(
-            f"the expert failed {MAX_DRAWS} times on each of {len(slots)} slots, the first of seed {slots[0]}"
+            f"the expert failed {MAX_DRAWS} times on each of {len(slots)} slots, the first of "
+            f"seed {slots[0]}"
         )
 
     def problem(self, shard: int) -> str | None:
@@ -197,13 +224,20 @@ class ShardMaker:
         problems = {shard: problem for shard in present if (problem := self.problem(shard))}
         for shard, problem in problems.items():
             logger.warning("%s is made again: %s", self.path(shard), problem)
-            self.path(shard).unlink() if self.path(shard).is_symlink() else shutil.rmtree(self.path(shard))
+            self.path(shard).unlink() if self.path(shard).is_symlink() else shutil.rmtree(
+                self.path(shard)
+            )
         return list(problems)
 
     def merge(self, root: Path) -> Manifest:
         """Merge the shards, in the order of the plan, into the dataset ``root``."""
-        sources, whole = [self.path(shard) for shard in range(self.plan.shards)], self.folder / "merged"
-        shutil.rmtree(whole, ignore_errors=True)  # of a process that was killed before it renamed it
+        sources, whole = (
+            [self.path(shard) for shard in range(self.plan.shards)],
+            self.folder / "merged",
+        )
+        shutil.rmtree(
+            whole, ignore_errors=True
+        )  # of a process that was killed before it renamed it
         manifest = merge(sources, whole, limits=self.plan.limits, provenance=self.plan.identity())
         whole.rename(root)
         return manifest

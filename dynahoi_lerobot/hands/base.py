@@ -1,4 +1,6 @@
-"""The base class of hands: a palm on three slides, fifteen flexion joints, five fingertip sites and a camera."""
+"""The base class of hands: a palm on three slides, fifteen flexion joints, five fingertip sites and
+a camera.
+"""
 
 import functools
 from abc import ABC, abstractmethod
@@ -7,14 +9,22 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import EGO_VIEW, FINGER_DOF, FINGERS, GANTRY_RANGE_M, JOINT_NAMES, PALM_AXES
+from dynahoi_lerobot.core.conventions import (
+    EGO_VIEW,
+    FINGER_DOF,
+    FINGERS,
+    GANTRY_RANGE_M,
+    JOINT_NAMES,
+    PALM_AXES,
+)
 from dynahoi_lerobot.core.numerics import cos, norm, sin
 from dynahoi_lerobot.core.registry import Registry
 
 PALM_SITE = "palm_center"
 PALM_BODY = "palm"
 HAND_GEOM_PREFIX = "hand_"
-"""Names that every hand uses, by which the scene finds its parts; fingertip sites are ``<finger>_tip``."""
+"""Names that every hand uses, by which the scene finds its parts; fingertip sites are
+``<finger>_tip``."""
 
 SKIN_GEOM_PREFIX, SLEEVE_GEOM = "skin_", "sleeve"
 """Names of geoms that are only drawn: they collide with nothing and have no mass."""
@@ -26,19 +36,24 @@ PALM_FORCE_N = 120.0
 PALM_BANDWIDTH_RAD_S = 150.0
 FINGER_BANDWIDTH_RAD_S = 120.0
 IDLE_RANGE_RAD = -0.05
-"""Joints may open a little further than at rest: an idle limit would be a constraint in every physics step."""
+"""Joints may open a little further than at rest: an idle limit would be a constraint in every
+physics step."""
 
 CAMERA_POS = (-0.15, 0.03, 0.21)
 CAMERA_PITCH_RAD = 0.45
 CAMERA_FOVY_DEG = 84.0
-"""The camera looks over the back of the hand, along +x and down, and sees past the thumb into the grasp volume."""
+"""The camera looks over the back of the hand, along +x and down, and sees past the thumb into the
+grasp volume."""
 
 CLOSED_RADIUS_M = 0.0295
-"""Closed around this radius, a hand passes the two-sided test of the grasp for 97 % of the targets."""
+"""Closed around this radius, a hand passes the two-sided test of the grasp for 97 % of the
+targets."""
 
 
 def camera_quat(forward: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Return (4,) quaternion wxyz of an upright camera, whose -z points along ``forward`` (3,), of any length."""
+    """Return (4,) quaternion wxyz of an upright camera, whose -z points along ``forward`` (3,), of
+    any length.
+    """
     ahead = np.asarray(forward, float) / norm(forward)
     right = np.cross(ahead, (0.0, 0.0, 1.0))
     right /= norm(right)
@@ -50,11 +65,11 @@ def camera_quat(forward: Sequence[float] | np.ndarray) -> np.ndarray:
 class Hand(ABC):
     """A hand, which adds its bodies, actuators, sites and camera to a model under construction.
 
-    It must keep to these names and frames: body ``palm`` hangs on joints ``palm_x, palm_y, palm_z``; the fifteen joints
-    are named as in ``conventions.JOINT_NAMES``; site ``palm_center`` lies in the middle of the grasp volume, at the
-    origin of ``palm`` at zero slide positions; sites ``<finger>_tip`` sit on the pads with z along the finger;
-    camera ``ego`` is fixed to the palm; each joint has an actuator of its name, in the order of
-    ``conventions.HAND_NAMES``.
+    It must keep to these names and frames: body ``palm`` hangs on joints ``palm_x, palm_y,
+    palm_z``; the fifteen joints are named as in ``conventions.JOINT_NAMES``; site ``palm_center``
+    lies in the middle of the grasp volume, at the origin of ``palm`` at zero slide positions; sites
+    ``<finger>_tip`` sit on the pads with z along the finger; camera ``ego`` is fixed to the palm;
+    each joint has an actuator of its name, in the order of ``conventions.HAND_NAMES``.
 
     Attributes:
         summary: one sentence, for ``dynahoi list hands``.
@@ -69,29 +84,39 @@ class Hand(ABC):
         """Add the hand to ``spec``."""
 
     def open_joints(self) -> np.ndarray:
-        """Return (15,) joint angles [rad] of the open hand, in which it waits: straight fingers by default."""
+        """Return (15,) joint angles [rad] of the open hand, in which it waits: straight fingers by
+        default.
+        """
         return np.zeros(FINGER_DOF)
 
     def reference_joints(self, grasp_radius_m: float) -> np.ndarray:
-        """Return (15,) joint angles [rad] of the reference grasp around an object of that radius [m].
+        """Return (15,) joint angles [rad] of the reference grasp around an object of that radius
+        [m].
 
-        Each fingertip is ``grasp_radius_m`` away from the middle of the grasp volume, so larger objects give smaller
-        rotations (Figure 3b of the paper). Fingers that cannot come that close stop at full closure.
+        Each fingertip is ``grasp_radius_m`` away from the middle of the grasp volume, so larger
+        objects give smaller rotations (Figure 3b of the paper). Fingers that cannot come that close
+        stop at full closure.
         """
         closure, distance = self._closure_table
         joints = [
-            np.asarray(self.full_closure_rad[finger]) * np.interp(-grasp_radius_m, -from_middle, closure)
+            np.asarray(self.full_closure_rad[finger])
+            * np.interp(-grasp_radius_m, -from_middle, closure)
             for finger, from_middle in zip(FINGERS, distance, strict=True)
         ]
         return np.concatenate(joints)
 
     def fingertips(self, closure: np.ndarray) -> np.ndarray:
-        """Return (K, 5, 3) positions of the fingertips [m], palm frame, at fractions (K,) of full closure."""
+        """Return (K, 5, 3) positions of the fingertips [m], palm frame, at fractions (K,) of full
+        closure.
+        """
         spec = mujoco.MjSpec()
         spec.compiler.degree = False
         self.add_to(spec)
         model = spec.compile()
-        data, full = mujoco.MjData(model), np.concatenate([self.full_closure_rad[finger] for finger in FINGERS])
+        data, full = (
+            mujoco.MjData(model),
+            np.concatenate([self.full_closure_rad[finger] for finger in FINGERS]),
+        )
         joints = [int(model.joint(name).qposadr[0]) for name in JOINT_NAMES]
         tips = np.zeros((len(closure), len(FINGERS), 3))
         for k, share in enumerate(closure):
@@ -107,14 +132,18 @@ class Hand(ABC):
 
     @functools.cached_property
     def _closure_table(self) -> tuple[np.ndarray, np.ndarray]:
-        """Closure fractions (K,) and, per finger, the tip's distance (5, K) [m] from the middle of the grasp volume.
+        """Closure fractions (K,) and, per finger, the tip's distance (5, K) [m] from the middle of
+        the grasp volume.
 
-        That is the axis through the palm centre, along z: fingers close around an upright object. The thumb's is the
-        distance to the palm centre itself.
+        That is the axis through the palm centre, along z: fingers close around an upright object.
+        The thumb's is the distance to the palm centre itself.
         """
         closure = np.linspace(0.0, 1.0, 101)
         distance = [
-            [norm(tip if finger == "thumb" else tip[:2]) for finger, tip in zip(FINGERS, tips, strict=True)]
+            [
+                norm(tip if finger == "thumb" else tip[:2])
+                for finger, tip in zip(FINGERS, tips, strict=True)
+            ]
             for tips in self.fingertips(closure)
         ]
         return closure, np.minimum.accumulate(np.transpose(distance), axis=1)
@@ -135,7 +164,9 @@ def add_palm(spec: mujoco.MjSpec, fingers_kg: float) -> mujoco.MjsBody:
     palm.mass, palm.inertia, palm.ipos = PALM_MASS_KG, (8e-4,) * 3, (0.0, 0.0, 0.0)
     for axis, name in enumerate(PALM_AXES):
         slide = mujoco.mjtJoint.mjJNT_SLIDE
-        palm.add_joint(name=name, type=slide, axis=np.eye(3)[axis], range=GANTRY_RANGE_M[axis], limited=True)
+        palm.add_joint(
+            name=name, type=slide, axis=np.eye(3)[axis], range=GANTRY_RANGE_M[axis], limited=True
+        )
         add_servo(spec, name, PALM_MASS_KG + fingers_kg, PALM_BANDWIDTH_RAD_S, PALM_FORCE_N)
     palm.add_site(name=PALM_SITE, pos=(0.0, 0.0, 0.0))
     forward = (cos(CAMERA_PITCH_RAD), 0.0, -sin(CAMERA_PITCH_RAD))
@@ -146,7 +177,9 @@ def add_palm(spec: mujoco.MjSpec, fingers_kg: float) -> mujoco.MjsBody:
 def add_servo(
     spec: mujoco.MjSpec, joint: str, inertia: float, bandwidth_rad_s: float, limit: float
 ) -> mujoco.MjsActuator:
-    """Add and return a critically damped position servo: force = kp (u - q) - kv qdot, clipped to +- ``limit``."""
+    """Add and return a critically damped position servo: force = kp (u - q) - kv qdot, clipped to
+    +- ``limit``.
+    """
     kp, kv = inertia * bandwidth_rad_s**2, 2 * inertia * bandwidth_rad_s
     actuator = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     actuator.set_to_position(kp, kv=kv)

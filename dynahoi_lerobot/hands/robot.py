@@ -1,7 +1,8 @@
-"""Hands of real robots: one class, which mounts a hand of MuJoCo Menagerie on the gantry, and a table for each hand.
+"""Hands of real robots: one class, which mounts a hand of MuJoCo Menagerie on the gantry, and a
+table for each hand.
 
-Fifteen joints flex, the others stay where the table has them. What collides is also what is drawn: the model's
-primitives, and boxes and capsules around its meshes.
+Fifteen joints flex, the others stay where the table has them. What collides is also what is drawn:
+the model's primitives, and boxes and capsules around its meshes.
 """
 
 from collections.abc import Mapping
@@ -23,7 +24,8 @@ class RobotFinger:
     Attributes:
         joints: the three that flex, from the palm outwards.
         full_closure_rad: (3,) how far they turn until the hand is fully closed [rad].
-        tip: a site whose z points along the finger, or (3,) the end of its middle line in the last joint's body [m].
+        tip: a site whose z points along the finger, or (3,) the end of its middle line in the last
+            joint's body [m].
     """
 
     joints: tuple[str, str, str]
@@ -33,20 +35,24 @@ class RobotFinger:
 
 @dataclass(frozen=True)
 class RobotHand(Hand):
-    """A hand of MuJoCo Menagerie; the attributes are its table. Couplings and torque limits are the model's own.
+    """A hand of MuJoCo Menagerie; the attributes are its table. Couplings and torque limits are the
+    model's own.
 
-    Angles count from the open hand, and positive ones close it: a joint that reaches farther in the model's negative
-    direction is turned round. Joints that one tendon of the model pulls follow the mean of what they are told: the
-    motor has one torque for both, and what they touch decides how they share it.
+    Angles count from the open hand, and positive ones close it: a joint that reaches farther in the
+    model's negative direction is turned round. Joints that one tendon of the model pulls follow the
+    mean of what they are told: the motor has one torque for both, and what they touch decides how
+    they share it.
 
     Attributes:
         summary: one sentence, for ``dynahoi list hands``.
         model, entry: the model in Menagerie, and its entry point with a left hand alone.
         palm: the body that the fingers grow from.
-        palm_pos_m, palm_quat: (3,) and (4,) wxyz, its frame in the palm's, which has its origin in the middle of the
-            grasp volume, x out of the palm, y along the straight fingers and z towards the index finger.
+        palm_pos_m, palm_quat: (3,) and (4,) wxyz, its frame in the palm's, which has its origin in
+            the middle of the grasp volume, x out of the palm, y along the straight fingers and z
+            towards the index finger.
         fingers: by name, as in ``conventions.FINGERS``.
-        rest_rad: joint angles of the open hand [rad], zero where nothing is said; joints that do not flex stay there.
+        rest_rad: joint angles of the open hand [rad], zero where nothing is said; joints that do
+            not flex stay there.
     """
 
     summary: str
@@ -59,10 +65,13 @@ class RobotHand(Hand):
     rest_rad: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Raise a ValueError if the table lacks a finger, or a finger does not have three joints of its own."""
+        """Raise a ValueError if the table lacks a finger, or a finger does not have three joints of
+        its own.
+        """
         if missing := [finger for finger in FINGERS if finger not in self.fingers]:
             raise ValueError(
-                f"the hand {self.model!r} has the fingers {', '.join(self.fingers)} and no {' or '.join(missing)}, but "
+                f"the hand {self.model!r} has the fingers {', '.join(self.fingers)} and no "
+                f"{' or '.join(missing)}, but "
                 f"observations and actions have three joints for each of {', '.join(FINGERS)}"
             )
         joints = {name: self.fingers[name].joints for name in FINGERS}
@@ -70,7 +79,8 @@ class RobotHand(Hand):
             others = {joint for other in FINGERS if other != name for joint in joints[other]}
             if len(set(three) - others) != 3 or len(three) != 3:
                 raise ValueError(
-                    f"the {name} of the hand {self.model!r} has the joints {', '.join(three)}, but every finger needs "
+                    f"the {name} of the hand {self.model!r} has the joints {', '.join(three)}, "
+                    f"but every finger needs "
                     "three joints that no other finger has"
                 )
 
@@ -83,11 +93,17 @@ class RobotHand(Hand):
         """Add palm, fingers, servos, sites and the ego camera to ``spec``.
 
         Raises:
-            ValueError: if the model cannot be had, or lacks a joint, the palm or a tip of the table; the message says
-                what to do.
+            ValueError: if the model cannot be had, or lacks a joint, the palm or a tip of the
+                table; the message says what to do.
         """
         robot = _load(self.model, self.entry)
-        names = dict(zip((joint for name in FINGERS for joint in self.fingers[name].joints), JOINT_NAMES, strict=True))
+        names = dict(
+            zip(
+                (joint for name in FINGERS for joint in self.fingers[name].joints),
+                JOINT_NAMES,
+                strict=True,
+            )
+        )
         joints = {joint.name: joint for joint in robot.joints}
         for name in dict.fromkeys((*names, *self.rest_rad)):
             _turn(known(f"joint of {self.model}", name, joints), self.rest_rad.get(name, 0.0))
@@ -144,12 +160,14 @@ def _load(model: str, entry: str) -> mujoco.MjSpec:
         return mujoco_menagerie.get(model).spec(entry)
     except mujoco_menagerie.UnknownRobotError as error:
         raise ValueError(
-            f"cannot get the hand {model!r}: {error} RobotHand mounts models that `mujoco-menagerie names` lists; any "
+            f"cannot get the hand {model!r}: {error} RobotHand mounts models that "
+            f"`mujoco-menagerie names` lists; any "
             "other is a Hand"
         ) from error
     except mujoco_menagerie.MenagerieError as error:
         raise ValueError(
-            f"cannot get the hand {model!r}: {error}; connect to the network once to download it, or let "
+            f"cannot get the hand {model!r}: {error}; connect to the network once to download "
+            f"it, or let "
             "MENAGERIE_ROOT name a folder with a copy of MuJoCo Menagerie"
         ) from error
 
@@ -165,7 +183,9 @@ def _turn(joint: mujoco.MjsJoint, angle: float) -> None:
 
 
 def _motor(robot: mujoco.MjSpec, joint: str) -> tuple[dict[str, float], float]:
-    """Return the share of each joint that moves with this one in what its motor pulls, and the motor's limit [N m]."""
+    """Return the share of each joint that moves with this one in what its motor pulls, and the
+    motor's limit [N m].
+    """
     shares, limits = {joint: 1.0}, [robot.joint(joint).actfrcrange[1]]
     for actuator in robot.actuators:
         pulled = {actuator.target: 1.0}
@@ -174,17 +194,28 @@ def _motor(robot: mujoco.MjSpec, joint: str) -> tuple[dict[str, float], float]:
         if joint in pulled:
             whole = sum(pulled.values())
             shares = {name: part / whole for name, part in pulled.items()}
-            limits.append(actuator.forcerange[1] * whole / len(pulled))  # each of its joints gets a servo
+            limits.append(
+                actuator.forcerange[1] * whole / len(pulled)
+            )  # each of its joints gets a servo
     return shares, float(min(filter(None, limits)))
 
 
 def _reduce(robot: mujoco.MjSpec, palm: str, flexing: Mapping[str, str]) -> mujoco.MjsFrame:
-    """Leave what collides, with its mass, and the joints that flex; fuse what cannot move; return the palm's frame."""
+    """Leave what collides, with its mass, and the joints that flex; fuse what cannot move; return
+    the palm's frame.
+    """
     for body in robot.bodies[1:]:
         if not body.explicitinertial:
             robot.adopt_inertial(body)
     fixed = [joint for joint in robot.joints if joint.name not in flexing]
-    for part in [*robot.actuators, *robot.tendons, *robot.excludes, *robot.sensors, *robot.keys, *fixed]:
+    for part in [
+        *robot.actuators,
+        *robot.tendons,
+        *robot.excludes,
+        *robot.sensors,
+        *robot.keys,
+        *fixed,
+    ]:
         robot.delete(part)
     robot.discard_visual()
     robot.body(palm).fuse = False
@@ -193,7 +224,9 @@ def _reduce(robot: mujoco.MjSpec, palm: str, flexing: Mapping[str, str]) -> mujo
 
 
 def _fit_meshes(robot: mujoco.MjSpec) -> mujoco.MjModel:
-    """Put boxes around meshes of the palm, and capsules around those of fingers; return the compiled model."""
+    """Put boxes around meshes of the palm, and capsules around those of fingers; return the
+    compiled model.
+    """
     robot.compiler.fitaabb = True
     meshes = [geom for geom in robot.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH]
     for number, geom in enumerate(robot.geoms):
@@ -228,7 +261,13 @@ HANDS.register("sharpa")(
         palm_quat=(0.5**0.5, -(0.5**0.5), 0.0, 0.0),
         fingers={
             "thumb": RobotFinger(SHARPA_THUMB, (1.0, 0.9, 0.8), "left_thumb_fingertip"),
-            **dict(zip(FINGERS[1:], map(_sharpa_finger, ("index", "middle", "ring", "pinky")), strict=True)),
+            **dict(
+                zip(
+                    FINGERS[1:],
+                    map(_sharpa_finger, ("index", "middle", "ring", "pinky")),
+                    strict=True,
+                )
+            ),
         },
     )
 )
@@ -236,19 +275,24 @@ HANDS.register("sharpa")(
 
 def _shadow_finger(name: str) -> RobotFinger:
     """Return a finger, whose middle and last joint share a motor and close alike."""
-    return RobotFinger((f"lh_{name}J3", f"lh_{name}J2", f"lh_{name}J1"), (1.27, 0.92, 0.92), (0.0, 0.0, 0.026))
+    return RobotFinger(
+        (f"lh_{name}J3", f"lh_{name}J2", f"lh_{name}J1"), (1.27, 0.92, 0.92), (0.0, 0.0, 0.026)
+    )
 
 
 HANDS.register("shadow")(
     RobotHand(
-        summary="The Shadow Hand of MuJoCo Menagerie; one motor closes the last two joints of a finger.",
+        summary="The Shadow Hand of MuJoCo Menagerie; one motor closes the last two joints of a "
+        "finger.",
         model="shadow_hand",
         entry="left_hand",
         palm="lh_palm",
         palm_pos_m=(-0.046, -0.084, -0.018),
         palm_quat=(0.5, -0.5, 0.5, 0.5),
         fingers={
-            "thumb": RobotFinger(("lh_THJ5", "lh_THJ2", "lh_THJ1"), (0.8, 1.2, 1.0), (0.0, 0.0, 0.029)),
+            "thumb": RobotFinger(
+                ("lh_THJ5", "lh_THJ2", "lh_THJ1"), (0.8, 1.2, 1.0), (0.0, 0.0, 0.029)
+            ),
             **dict(zip(FINGERS[1:], map(_shadow_finger, ("FF", "MF", "RF", "LF")), strict=True)),
         },
         rest_rad={"lh_THJ5": -1.0, "lh_THJ4": 1.0, "lh_THJ2": -0.65, "lh_THJ1": -0.2},

@@ -1,4 +1,6 @@
-"""The interface of a metric: a pure function of an Episode, with its unit, direction, bounds and condition."""
+"""The interface of a metric: a pure function of an Episode, with its unit, direction, bounds and
+condition.
+"""
 
 import inspect
 from collections.abc import Callable
@@ -20,13 +22,14 @@ class Metric:
     Attributes:
         name: the name in every table, the paper's where it has one.
         compute: the function of one episode; its docstring gives the formula and the source.
-        unit: ``fraction`` of shares and rates in [0, 1], which tables print in per cent; ``u``, the paper's 0.1 m;
-            ``m/s``; or ``score``, a number without a unit.
+        unit: ``fraction`` of shares and rates in [0, 1], which tables print in per cent; ``u``, the
+            paper's 0.1 m; ``m/s``; or ``score``, a number without a unit.
         direction: which way is better.
-        aggregation: ``rate`` of values 0 or 1, with Wilson's interval; or ``mean`` of real values, with a bootstrap
-            interval.
+        aggregation: ``rate`` of values 0 or 1, with Wilson's interval; or ``mean`` of real values,
+            with a bootstrap interval.
         bounds: least and greatest possible value, in ``unit``.
-        condition: which episodes count, in words; empty when all do. The value of the others is None.
+        condition: which episodes count, in words; empty when all do. The value of the others is
+            None.
     """
 
     name: str
@@ -67,11 +70,15 @@ def metric(
     """
 
     def decorate(compute: Compute) -> Metric:
-        return METRICS.register(name)(Metric(name, compute, unit, direction, aggregation, bounds, condition))
+        return METRICS.register(name)(
+            Metric(name, compute, unit, direction, aggregation, bounds, condition)
+        )
 
     return decorate
 
 
 def measure(episode: Episode) -> dict[str, float | None]:
-    """Return every registered metric of one episode by name; None where a metric's condition does not hold."""
+    """Return every registered metric of one episode by name; None where a metric's condition does
+    not hold.
+    """
     return {name: evaluate(episode) for name, evaluate in METRICS.items()}

@@ -8,27 +8,33 @@ from dynahoi_lerobot.metrics.base import Compute, metric
 
 
 def grasps_within(episode: Episode, frames: int) -> bool | None:
-    """Tell whether all 15 joints match the reference in any of ``frames`` frames, counted from the first localised one.
+    """Tell whether all 15 joints match the reference in any of ``frames`` frames, counted from the
+    first localised one.
 
     None if the target is never localised.
     """
     first = episode.first_localized
     if first is None:
         return None
-    reached = joints_reached(episode.joints[first : first + frames], episode.open_joints, episode.reference_joints)
+    reached = joints_reached(
+        episode.joints[first : first + frames], episode.open_joints, episode.reference_joints
+    )
     return bool(reached.all(axis=1).any())
 
 
-@metric("S_gra", unit="fraction", direction="higher", aggregation="rate", condition="localised episodes")
+@metric(
+    "S_gra", unit="fraction", direction="higher", aggregation="rate", condition="localised episodes"
+)
 def s_gra(episode: Episode) -> bool | None:
-    """Grasp success, given localisation: all 15 joints match the reference grasp at the first localised frame.
+    """Grasp success, given localisation: all 15 joints match the reference grasp at the first
+    localised frame.
 
-    ``S_gra = 1 if for all j: (q_j - open_j) / (ref_j - open_j) >= 0.9, else 0`` with the joint angles q at that frame:
-    each joint has turned in the direction of the reference, by at least 0.9 of its rotation. None if the target is
-    never localised.
+    ``S_gra = 1 if for all j: (q_j - open_j) / (ref_j - open_j) >= 0.9, else 0`` with the joint
+    angles q at that frame: each joint has turned in the direction of the reference, by at least 0.9
+    of its rotation. None if the target is never localised.
 
-    Fraction of localised episodes, higher is better. Paper: Section "Evaluation metrics" and Appendix "Evaluation
-    Criteria".
+    Fraction of localised episodes, higher is better. Paper: Section "Evaluation metrics" and
+    Appendix "Evaluation Criteria".
     """
     return grasps_within(episode, 1)
 
@@ -37,41 +43,58 @@ WINDOW_S = 0.5
 """How long after localisation the grasp may close [s]."""
 
 
-@metric("S_gra_window", unit="fraction", direction="higher", aggregation="rate", condition="localised episodes")
+@metric(
+    "S_gra_window",
+    unit="fraction",
+    direction="higher",
+    aggregation="rate",
+    condition="localised episodes",
+)
 def s_gra_window(episode: Episode) -> bool | None:
-    """Grasp success within 0.5 s, given localisation: the test of S_gra on the first localised frame and ten more.
+    """Grasp success within 0.5 s, given localisation: the test of S_gra on the first localised
+    frame and ten more.
 
-    ``S_gra_window = 1 if S_gra's condition holds at any t in [t_loc, t_loc + 0.5 s], else 0``; None if the target is
-    never localised.
+    ``S_gra_window = 1 if S_gra's condition holds at any t in [t_loc, t_loc + 0.5 s], else 0``; None
+    if the target is never localised.
 
-    Fraction of localised episodes, higher is better. Ours: S_gra judges a single frame, so a hand that closes 50 ms
-    late fails it.
+    Fraction of localised episodes, higher is better. Ours: S_gra judges a single frame, so a hand
+    that closes 50 ms late fails it.
     """
     return grasps_within(episode, 1 + round(WINDOW_S * conventions.CONTROL_HZ))
 
 
-@metric("S_gra_two_sided", unit="fraction", direction="higher", aggregation="rate", condition="localised episodes")
+@metric(
+    "S_gra_two_sided",
+    unit="fraction",
+    direction="higher",
+    aggregation="rate",
+    condition="localised episodes",
+)
 def s_gra_two_sided(episode: Episode) -> bool | None:
     """Grasp success, given localisation, with joints neither too open nor too closed.
 
-    ``S_gra_two_sided = 1 if for all j: 0.9 <= (q_j - open_j) / (ref_j - open_j) <= 1.2, else 0`` with the joint angles
-    q at the first localised frame; joints that the reference leaves open do not count. None if the target is never
-    localised.
+    ``S_gra_two_sided = 1 if for all j: 0.9 <= (q_j - open_j) / (ref_j - open_j) <= 1.2, else 0``
+    with the joint angles q at the first localised frame; joints that the reference leaves open do
+    not count. None if the target is never localised.
 
-    Fraction of localised episodes, higher is better. Ours: a fist passes the paper's S_gra for every object.
+    Fraction of localised episodes, higher is better. Ours: a fist passes the paper's S_gra for
+    every object.
     """
     first = episode.first_localized
     if first is None:
         return None
-    return bool(in_reference_grasp(episode.joints[first], episode.open_joints, episode.reference_joints))
+    return bool(
+        in_reference_grasp(episode.joints[first], episode.open_joints, episode.reference_joints)
+    )
 
 
 @metric("S_joint", unit="fraction", direction="higher", aggregation="rate")
 def s_joint(episode: Episode) -> bool:
-    """Joint success: localised, and with joints neither too open nor too closed at the first localised frame.
+    """Joint success: localised, and with joints neither too open nor too closed at the first
+    localised frame.
 
-    ``S_joint = S_loc * S_gra_two_sided``, over all episodes: the success of the capture rules that weld, and LeRobot's
-    ``next.success`` and ``pc_success`` under them.
+    ``S_joint = S_loc * S_gra_two_sided``, over all episodes: the success of the capture rules that
+    weld, and LeRobot's ``next.success`` and ``pc_success`` under them.
 
     Fraction of episodes, higher is better. Ours: like S_joint_paper, but a fist fails it.
     """
@@ -80,22 +103,30 @@ def s_joint(episode: Episode) -> bool:
 
 @metric("S_joint_paper", unit="fraction", direction="higher", aggregation="rate")
 def s_joint_paper(episode: Episode) -> bool:
-    """Joint success by the paper's grasp: localised, and S_gra's condition holds at the first localised frame.
+    """Joint success by the paper's grasp: localised, and S_gra's condition holds at the first
+    localised frame.
 
     ``S_joint_paper = S_loc * S_gra``, over all episodes.
 
-    Fraction of episodes, higher is better. Ours: compare the paper's S_gra column with this metric. The paper calls its
-    S_gra conditional, yet prints 0.80 % beside S_loc = 10.30 %: of 103 localised episodes, one is already 0.97 %.
+    Fraction of episodes, higher is better. Ours: compare the paper's S_gra column with this metric.
+    The paper calls its S_gra conditional, yet prints 0.80 % beside S_loc = 10.30 %: of 103
+    localised episodes, one is already 0.97 %.
     """
     return bool(s_gra(episode))  # None, never localised, is a failure
 
 
-@metric("S_hold", unit="fraction", direction="higher", aggregation="rate", condition="capture rule contact")
+@metric(
+    "S_hold",
+    unit="fraction",
+    direction="higher",
+    aggregation="rate",
+    condition="capture rule contact",
+)
 def s_hold(episode: Episode) -> bool | None:
     """Physical capture: the hand holds the free target off every other surface for 0.5 s.
 
-    ``S_hold = 1 if the capture rule contact reports success, else 0``; None under the other rules, which weld the
-    target to the palm so that it cannot slip.
+    ``S_hold = 1 if the capture rule contact reports success, else 0``; None under the other rules,
+    which weld the target to the palm so that it cannot slip.
 
     Fraction of episodes under contact, higher is better. Ours.
     """
@@ -106,8 +137,8 @@ def s_hold(episode: Episode) -> bool | None:
 def e_gra(episode: Episode) -> float:
     """Grasping error: the least distance between a fingertip and the target's surface.
 
-    ``E_gra = min_{t, finger} dist(tip(t), surface(t)) / 0.1 m`` over the frames of the control phase; 0 inside the
-    target.
+    ``E_gra = min_{t, finger} dist(tip(t), surface(t)) / 0.1 m`` over the frames of the control
+    phase; 0 inside the target.
 
     In u (0.1 m), lower is better. Paper: Section "Evaluation metrics".
     """
@@ -119,18 +150,27 @@ FINGERS_AT_LEAST = {"loose": 3, "medium": 4, "strict": 5}
 
 
 def per_frame_grasp(setting: str, least: int) -> Compute:
-    """Return the share of control frames in which so many fingers match the reference grasp, for ``metric``."""
+    """Return the share of control frames in which so many fingers match the reference grasp, for
+    ``metric``.
+    """
 
     def share(episode: Episode) -> float:
-        reached = joints_reached(episode.joints[episode.control], episode.open_joints, episode.reference_joints)
-        by_finger = reached.reshape(-1, len(conventions.FINGERS), conventions.JOINTS_PER_FINGER)  # (T, 5, 3)
+        reached = joints_reached(
+            episode.joints[episode.control], episode.open_joints, episode.reference_joints
+        )
+        by_finger = reached.reshape(
+            -1, len(conventions.FINGERS), conventions.JOINTS_PER_FINGER
+        )  # (T, 5, 3)
         return float(np.mean(by_finger.all(axis=2).sum(axis=1) >= least))
 
-    share.__doc__ = f"""Per-frame grasp, {setting}: the share of control frames in which at least {least} fingers match.
+    share.__doc__ = f"""Per-frame grasp, {setting}: the share of control frames in which at least
+    {least} fingers match.
 
-    ``grasp_{setting} = mean_t [number of fingers whose three joints all pass the test of S_gra at t >= {least}]``.
+    ``grasp_{setting} = mean_t [number of fingers whose three joints all pass the test of
+    S_gra at t >= {least}]``.
 
-    Fraction of frames, higher is better. Paper: Figure "Grasp success rate under per-frame evaluation".
+    Fraction of frames, higher is better. Paper: Figure "Grasp success rate under per-frame
+    evaluation".
     """
     return share
 

@@ -2,7 +2,13 @@
 
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import CONTROL_DT, CONTROL_HZ, LENIENT_RADIUS_M, LOCALIZATION_RADIUS_M, UNIT_M
+from dynahoi_lerobot.core.conventions import (
+    CONTROL_DT,
+    CONTROL_HZ,
+    LENIENT_RADIUS_M,
+    LOCALIZATION_RADIUS_M,
+    UNIT_M,
+)
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.metrics.base import metric
 from dynahoi_lerobot.metrics.trajectory import until_localized
@@ -12,32 +18,36 @@ from dynahoi_lerobot.metrics.trajectory import until_localized
 def s_loc(episode: Episode) -> bool:
     """Localisation success: the palm centre comes within 0.3 u (0.03 m) of the target centre.
 
-    ``S_loc = 1 if exists t >= t_control: |palm(t) - target(t)| < 0.3 u, else 0``, the 3-D distance, checked between
-    frames as well. Under the capture rule attach_lenient the threshold is 1.0 u (S_loc* of the paper's table of
-    vision-language models), here and in every metric that depends on localisation.
+    ``S_loc = 1 if exists t >= t_control: |palm(t) - target(t)| < 0.3 u, else 0``, the 3-D distance,
+    checked between frames as well. Under the capture rule attach_lenient the threshold is 1.0 u
+    (S_loc* of the paper's table of vision-language models), here and in every metric that depends
+    on localisation.
 
-    Fraction of episodes, higher is better. Paper: Section "Evaluation metrics", threshold from Appendix "Evaluation
-    Criteria".
+    Fraction of episodes, higher is better. Paper: Section "Evaluation metrics", threshold from
+    Appendix "Evaluation Criteria".
     """
     return episode.first_localized is not None
 
 
 @metric("S_loc_planar", unit="fraction", direction="higher", aggregation="rate")
 def s_loc_planar(episode: Episode) -> bool:
-    """Planar localisation: the horizontal distance of palm and target centre falls below 0.3 u (0.03 m).
+    """Planar localisation: the horizontal distance of palm and target centre falls below 0.3 u
+    (0.03 m).
 
-    ``S_loc_planar = 1 if exists t: |(palm(t) - target(t))_xy| < 0.3 u, else 0`` over the control frames until the
-    target is attached. 3-D localisation implies it, also between two frames. Under attach_lenient the threshold is
-    1.0 u.
+    ``S_loc_planar = 1 if exists t: |(palm(t) - target(t))_xy| < 0.3 u, else 0`` over the control
+    frames until the target is attached. 3-D localisation implies it, also between two frames. Under
+    attach_lenient the threshold is 1.0 u.
 
-    Fraction of episodes, higher is better. Source: the authors' evaluation code, which ignores height, although the
-    paper's Section "Evaluation metrics" says distance.
+    Fraction of episodes, higher is better. Source: the authors' evaluation code, which ignores
+    height, although the paper's Section "Evaluation metrics" says distance.
     """
     if episode.first_localized is not None:
         return True
     frames = until_localized(episode)
     offset = episode.palm_pos_h[frames, :2] - episode.target_pose[frames, :2]  # (T, 2)
-    radius_m = LENIENT_RADIUS_M if episode.meta.capture == "attach_lenient" else LOCALIZATION_RADIUS_M
+    radius_m = (
+        LENIENT_RADIUS_M if episode.meta.capture == "attach_lenient" else LOCALIZATION_RADIUS_M
+    )
     return bool((np.linalg.norm(offset, axis=1) < radius_m).any())
 
 
@@ -49,11 +59,12 @@ INTERCEPT_TOLERANCE_FRAMES = round(0.1 * CONTROL_HZ)
 def s_intercept(episode: Episode) -> bool:
     """Localisation at the first opportunity: no later than 0.1 s after the oracle's intercept.
 
-    ``S_intercept = 1 if t_loc <= t_intercept + 0.1 s, else 0`` with ``t_loc`` the first localised frame of the control
-    phase and ``t_intercept`` the earliest at which a hand of 0.3 m/s can meet the target.
+    ``S_intercept = 1 if t_loc <= t_intercept + 0.1 s, else 0`` with ``t_loc`` the first localised
+    frame of the control phase and ``t_intercept`` the earliest at which a hand of 0.3 m/s can meet
+    the target.
 
-    Fraction of episodes, higher is better. Ours: a hand that chases its target and catches it later needs no
-    prediction.
+    Fraction of episodes, higher is better. Ours: a hand that chases its target and catches it later
+    needs no prediction.
     """
     first = episode.first_localized
     return first is not None and first <= episode.meta.intercept_frame + INTERCEPT_TOLERANCE_FRAMES
@@ -81,9 +92,9 @@ def e_loc(episode: Episode) -> float:
 def relative_speed(episode: Episode) -> float | None:
     """Relative speed of palm and target at localisation.
 
-    ``relative_speed = |v_target(t - 1) - (palm(t) - palm(t - 1)) / 0.05 s|`` with t the first localised frame. The
-    target's velocity is that of the frame before, because at t a welded target already moves with the palm. None if the
-    target is never localised.
+    ``relative_speed = |v_target(t - 1) - (palm(t) - palm(t - 1)) / 0.05 s|`` with t the first
+    localised frame. The target's velocity is that of the frame before, because at t a welded target
+    already moves with the palm. None if the target is never localised.
 
     In m/s, lower is better. Ours: ``attach`` catches at any relative speed, which no real hand can.
     """
@@ -98,17 +109,19 @@ def relative_speed(episode: Episode) -> float | None:
 def r_time(episode: Episode) -> float:
     """Time score, counted from control start; 0 if the target is never localised.
 
-    ``R_time = 1 - T / N``, clipped to [0, 1], with N the recording's length [frames] and T the frames from control
-    start to the first localised one.
+    ``R_time = 1 - T / N``, clipped to [0, 1], with N the recording's length [frames] and T the
+    frames from control start to the first localised one.
 
-    Score in [0, 1], higher is better. Paper: Section "Evaluation metrics"; the start of the clock follows the authors'
-    evaluation code.
+    Score in [0, 1], higher is better. Paper: Section "Evaluation metrics"; the start of the clock
+    follows the authors' evaluation code.
     """
     return time_score(episode, start_frame=episode.meta.window_frames)
 
 
 def time_score(episode: Episode, start_frame: int) -> float:
-    """Return ``1 - (first localised frame - start_frame) / length_frames`` in [0, 1], 0 if there is none."""
+    """Return ``1 - (first localised frame - start_frame) / length_frames`` in [0, 1], 0 if there is
+    none.
+    """
     first = episode.first_localized
     if first is None:
         return 0.0
@@ -117,11 +130,13 @@ def time_score(episode: Episode, start_frame: int) -> float:
 
 @metric("R_time_total", unit="score", direction="higher", aggregation="mean")
 def r_time_total(episode: Episode) -> float:
-    """Time score, counted from the first frame, so that observing costs time too; 0 if the target is never localised.
+    """Time score, counted from the first frame, so that observing costs time too; 0 if the target
+    is never localised.
 
-    ``R_time_total = 1 - T / N``, clipped to [0, 1], with N the recording's length and T the frames from the episode's
-    start to the first localised one.
+    ``R_time_total = 1 - T / N``, clipped to [0, 1], with N the recording's length and T the frames
+    from the episode's start to the first localised one.
 
-    Score in [0, 1], higher is better. Ours: the other reading of the paper's Section "Evaluation metrics".
+    Score in [0, 1], higher is better. Ours: the other reading of the paper's Section "Evaluation
+    metrics".
     """
     return time_score(episode, start_frame=0)

@@ -7,14 +7,16 @@ from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.metrics.base import metric
 
 REST_M = 1e-6
-"""Palm steps up to this length [m] count as zero: a servo that holds still jitters in the last bits of a float32."""
+"""Palm steps up to this length [m] count as zero: a servo that holds still jitters in the last bits
+of a float32."""
 STILL_M = 1e-3
-"""A palm that stays this close [m] to where it is at control start stands still: closing the fingers makes it
-recoil by up to 0.4 mm."""
+"""A palm that stays this close [m] to where it is at control start stands still: closing the
+fingers makes it recoil by up to 0.4 mm."""
 
 
 def until_localized(episode: Episode) -> slice:
-    """Return the control frames up to and including the first localised one; all of them if none is.
+    """Return the control frames up to and including the first localised one; all of them if none
+    is.
 
     The paper's trajectory ends when the task is complete, as in the authors' own evaluation.
     """
@@ -40,8 +42,9 @@ def palm_steps(episode: Episode) -> tuple[np.ndarray, np.ndarray]:
 def q_line(episode: Episode) -> float:
     """Spatial linearity of the palm's path from control start to the first localised frame.
 
-    ``Q_line = 1 / (N - 1) * sum_t s_t . v`` with the unit directions ``s_t`` of the steps and ``v`` of the whole
-    displacement; 0 without displacement or if the palm stays within 1 mm, and a step of zero length adds 0.
+    ``Q_line = 1 / (N - 1) * sum_t s_t . v`` with the unit directions ``s_t`` of the steps and ``v``
+    of the whole displacement; 0 without displacement or if the palm stays within 1 mm, and a step
+    of zero length adds 0.
 
     Score in [-1, 1], higher is better. Paper: Section "Evaluation metrics".
     """
@@ -49,11 +52,15 @@ def q_line(episode: Episode) -> float:
 
 
 def linearity(steps: np.ndarray, displacement: np.ndarray) -> float:
-    """Return the mean cosine between (M, D) steps and the (D,) displacement, 0 where either vanishes."""
+    """Return the mean cosine between (M, D) steps and the (D,) displacement, 0 where either
+    vanishes.
+    """
     lengths, distance = np.linalg.norm(steps, axis=1), np.linalg.norm(displacement)
     if distance == 0 or len(steps) == 0:
         return 0.0
-    cosines = np.divide(steps @ displacement, lengths * distance, out=np.zeros(len(steps)), where=lengths > 0)
+    cosines = np.divide(
+        steps @ displacement, lengths * distance, out=np.zeros(len(steps)), where=lengths > 0
+    )
     return float(np.clip(cosines.mean(), -1.0, 1.0))
 
 
@@ -61,8 +68,9 @@ def linearity(steps: np.ndarray, displacement: np.ndarray) -> float:
 def q_smooth(episode: Episode) -> float:
     """Temporal smoothness of the palm's path from control start to the first localised frame.
 
-    ``Q_smooth = 1 / (1 + CV(d))`` with ``CV = sigma_d / mu_d`` (population standard deviation) of the step lengths
-    ``d_t = |p_{t+1} - p_t|``, and ``CV = 0`` where ``mu_d = 0``: the palm stays within 1 mm of where it begins.
+    ``Q_smooth = 1 / (1 + CV(d))`` with ``CV = sigma_d / mu_d`` (population standard deviation) of
+    the step lengths ``d_t = |p_{t+1} - p_t|``, and ``CV = 0`` where ``mu_d = 0``: the palm stays
+    within 1 mm of where it begins.
 
     Score in [0, 1], higher is better. Paper: Section "Evaluation metrics".
     """
@@ -82,10 +90,11 @@ LEGACY_REST = 1e-4
 
 
 def command_steps(episode: Episode) -> tuple[np.ndarray, np.ndarray]:
-    """Return the (K, 18) steps between successive given commands, tiny ones dropped, and (18,) the displacement.
+    """Return the (K, 18) steps between successive given commands, tiny ones dropped, and (18,) the
+    displacement.
 
-    Palm positions are in u and joint angles in radians, because that mixture is what the authors' code
-    measured.
+    Palm positions are in u and joint angles in radians, because that mixture is what the authors'
+    code measured.
     """
     points = episode.given_action[until_localized(episode)].astype(np.float64)  # (M, 18)
     points[:, :PALM_DOF] /= UNIT_M
@@ -95,23 +104,28 @@ def command_steps(episode: Episode) -> tuple[np.ndarray, np.ndarray]:
 
 @metric("Q_line_18d", unit="score", direction="higher", aggregation="mean", bounds=(-1.0, 1.0))
 def q_line_18d(episode: Episode) -> float:
-    """Legacy linearity: Q_line on the 18-D commands (palm in u, joints in rad), steps up to 1e-4 dropped.
+    """Legacy linearity: Q_line on the 18-D commands (palm in u, joints in rad), steps up to 1e-4
+    dropped.
 
-    ``Q_line_18d = 1 / (N - 1) * sum_t s_t . v`` with the unit directions of ``a_{t+1} - a_t`` and of ``a_N - a_1``, of
-    the commands given (``stats/given_action``), not executed.
+    ``Q_line_18d = 1 / (N - 1) * sum_t s_t . v`` with the unit directions of ``a_{t+1} - a_t`` and
+    of ``a_N - a_1``, of the commands given (``stats/given_action``), not executed.
 
-    Score in [-1, 1], higher is better. Source: the authors' evaluation code; for comparison with their logs only.
+    Score in [-1, 1], higher is better. Source: the authors' evaluation code; for comparison with
+    their logs only.
     """
     return linearity(*command_steps(episode))
 
 
 @metric("Q_smooth_18d", unit="score", direction="higher", aggregation="mean")
 def q_smooth_18d(episode: Episode) -> float:
-    """Legacy smoothness: Q_smooth on the 18-D commands (palm in u, joints in rad), steps up to 1e-4 dropped.
+    """Legacy smoothness: Q_smooth on the 18-D commands (palm in u, joints in rad), steps up to 1e-4
+    dropped.
 
-    ``Q_smooth_18d = 1 / (1 + CV(d))`` with ``d_t = |a_{t+1} - a_t|`` of the commands given (``stats/given_action``),
-    not executed; 1 without any step, where the authors' value is not a number.
+    ``Q_smooth_18d = 1 / (1 + CV(d))`` with ``d_t = |a_{t+1} - a_t|`` of the commands given
+    (``stats/given_action``), not executed; 1 without any step, where the authors' value is not a
+    number.
 
-    Score in [0, 1], higher is better. Source: the authors' evaluation code; for comparison with their logs only.
+    Score in [0, 1], higher is better. Source: the authors' evaluation code; for comparison with
+    their logs only.
     """
     return smoothness(command_steps(episode)[0])

@@ -1,6 +1,7 @@
 """Base classes of motions: a prescribed path, or an initial condition for real dynamics.
 
-The paper names three tiers and eight categories (Section 3.2); the 22 kinds and their ranges are ours.
+The paper names three tiers and eight categories (Section 3.2); the 22 kinds and their ranges are
+ours.
 """
 
 import json
@@ -48,8 +49,8 @@ class Draw:
     def sample_speed(self, low: float, high: float) -> float:
         """Draw a speed, or a frequency, angle or distance that decides one.
 
-        Uniform in [low, high) where ``speed_scale`` is 1, and otherwise in [high, speed_scale * high), which training
-        never reaches. The unit is that of the bounds.
+        Uniform in [low, high) where ``speed_scale`` is 1, and otherwise in [high, speed_scale *
+        high), which training never reaches. The unit is that of the bounds.
         """
         if self.speed_scale == 1.0:
             return self.uniform(low, high)
@@ -65,10 +66,14 @@ class Draw:
 
     def meeting_point(self) -> Vector:
         """Draw the point where hand and target should meet [m], world: within a cube of 30 cm."""
-        return as_vector(MEETING_CENTER_W + self.rng.uniform(-MEETING_HALF_SIDE_M, MEETING_HALF_SIDE_M, 3))
+        return as_vector(
+            MEETING_CENTER_W + self.rng.uniform(-MEETING_HALF_SIDE_M, MEETING_HALF_SIDE_M, 3)
+        )
 
     def level_heading(self, rise_m: float, path_m: float) -> Vector:
-        """Draw a unit vector, world, along which height changes by at most ``rise_m`` over ``path_m`` of path [m]."""
+        """Draw a unit vector, world, along which height changes by at most ``rise_m`` over
+        ``path_m`` of path [m].
+        """
         steepest = float(arcsin(min(STEEPEST_SINE, rise_m / max(path_m, 1e-9))))
         return heading(self.angle(), self.uniform(-steepest, steepest))
 
@@ -87,14 +92,16 @@ CATEGORIES: dict[str, tuple[str, str]] = {
 
 
 class Motion(ABC):
-    """A kind of motion; an instance is one motion with its parameters (a frozen dataclass, SI units, world frame).
+    """A kind of motion; an instance is one motion with its parameters (a frozen dataclass, SI
+    units, world frame).
 
     Class attributes:
         name: the registered name.
         category: one of ``CATEGORIES``.
         phrase: how an instruction describes the motion, after "the object that is".
         max_frames: longest recording in which the motion is still under way [frames].
-        max_approach_frames: latest intercept [frames after the control start]; motions that end soon are met early.
+        max_approach_frames: latest intercept [frames after the control start]; motions that end
+        soon are met early.
     """
 
     name: ClassVar[str]
@@ -110,11 +117,15 @@ class Motion(ABC):
 
     @classmethod
     def suits(cls, kind: ObjectType) -> bool:
-        """Tell whether objects of that type can move this way: all of them, unless a kind of motion overrides it."""
+        """Tell whether objects of that type can move this way: all of them, unless a kind of motion
+        overrides it.
+        """
         return True
 
     def launch(self, target: TargetObject) -> Launch:
-        """Return the initial condition of ``target`` and the fixtures around it; a closed form has neither."""
+        """Return the initial condition of ``target`` and the fixtures around it; a closed form has
+        neither.
+        """
         return Launch((0.0, 0.0, 0.0))
 
     def parameters(self) -> str:
@@ -126,7 +137,9 @@ MOTIONS: Registry[type[Motion]] = Registry("motion", "dynahoi_lerobot.motions")
 
 
 class PrescribedMotion(Motion):
-    """A path in closed form. The simulation drives the target along it, with the force that this path requires."""
+    """A path in closed form. The simulation drives the target along it, with the force that this
+    path requires.
+    """
 
     @abstractmethod
     def position(self, time_s: np.ndarray) -> np.ndarray:
@@ -135,7 +148,8 @@ class PrescribedMotion(Motion):
 
 @dataclass(frozen=True)
 class Retimed(PrescribedMotion):
-    """The path of another motion, traversed at another rate: r(t) = motion.r(path_s + rate (t - time_s)).
+    """The path of another motion, traversed at another rate: r(t) = motion.r(path_s + rate (t -
+    time_s)).
 
     Attributes:
         motion: whose path it is; this has its name, category and phrase.

@@ -39,7 +39,9 @@ class CircularMotion(PrescribedMotion):
         return cls(draw.meeting_point(), radius, rate, draw.angle(), draw.angle())
 
     def axes(self) -> np.ndarray:
-        """Return (2, 3), the unit vectors e1 and e2 of the plane; horizontal unless a kind says otherwise."""
+        """Return (2, 3), the unit vectors e1 and e2 of the plane; horizontal unless a kind says
+        otherwise.
+        """
         c, s = cos(self.yaw_rad), sin(self.yaw_rad)
         return np.array([[c, s, 0.0], [-s, c, 0.0]])
 
@@ -88,7 +90,9 @@ class Helix(CircularMotion):
         radius = draw.uniform(0.1, 0.3)
         rate = draw.sample_speed(0.3, 1.0) / radius * draw.sign()
         climb = draw.uniform(0.2, 0.6) * draw.sign() / draw.horizon_s
-        return cls(draw.meeting_point(), radius, rate, draw.angle(), draw.angle(), climb, draw.intercept_s)
+        return cls(
+            draw.meeting_point(), radius, rate, draw.angle(), draw.angle(), climb, draw.intercept_s
+        )
 
     def position(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) position [m]."""
@@ -99,7 +103,8 @@ class Helix(CircularMotion):
 @MOTIONS.register("swinging_arc")
 @dataclass(frozen=True)
 class SwingingArc(PrescribedMotion):
-    """r = pivot + R (h sin q - z cos q), q(t) = A sin(w t + phase): radius 0.25 to 0.6 m, swing 20 to 60 degrees.
+    """r = pivot + R (h sin q - z cos q), q(t) = A sin(w t + phase): radius 0.25 to 0.6 m, swing 20
+    to 60 degrees.
 
     Attributes:
         pivot: centre of the arc [m].
@@ -123,7 +128,9 @@ class SwingingArc(PrescribedMotion):
     def sample(cls, draw: Draw) -> Self:
         """Draw the arc and its rhythm."""
         radius, swing = draw.uniform(0.25, 0.6), np.radians(draw.uniform(20, 60))
-        rate = min(2 * np.pi * draw.sample_speed(0.35, 0.8), 1.6 / (radius * swing) * draw.speed_scale)
+        rate = min(
+            2 * np.pi * draw.sample_speed(0.35, 0.8), 1.6 / (radius * swing) * draw.speed_scale
+        )
         pivot = as_vector(np.asarray(draw.meeting_point()) + [0.0, 0.0, radius])
         return cls(pivot, radius, float(swing), float(rate), draw.angle(), draw.angle())
 

@@ -13,7 +13,8 @@ from dynahoi_lerobot.motions.launch import Vector, as_vector
 @MOTIONS.register("figure_eight")
 @dataclass(frozen=True)
 class FigureEight(PrescribedMotion):
-    """r = center + h A sin q + z (A / 2) sin 2 q, q = w t + phase: A 0.1 to 0.25 m, 0.15 to 0.45 Hz.
+    """r = center + h A sin q + z (A / 2) sin 2 q, q = w t + phase: A 0.1 to 0.25 m, 0.15 to 0.45
+    Hz.
 
     Attributes:
         center: crossing point [m].
@@ -35,7 +36,9 @@ class FigureEight(PrescribedMotion):
     def sample(cls, draw: Draw) -> Self:
         """Draw size and rhythm."""
         rate = 2 * np.pi * draw.sample_speed(0.15, 0.45)
-        return cls(draw.meeting_point(), draw.uniform(0.1, 0.25), float(rate), draw.angle(), draw.angle())
+        return cls(
+            draw.meeting_point(), draw.uniform(0.1, 0.25), float(rate), draw.angle(), draw.angle()
+        )
 
     def position(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) position [m]."""
@@ -48,7 +51,8 @@ class FigureEight(PrescribedMotion):
 @MOTIONS.register("harmonic_drift")
 @dataclass(frozen=True)
 class HarmonicDrift(PrescribedMotion):
-    """r = meeting + u v tau + n A sin(w t + phase), n at right angles to u: drift 0.08 to 0.3 m/s, A 0.08 to 0.22 m.
+    """r = meeting + u v tau + n A sin(w t + phase), n at right angles to u: drift 0.08 to 0.3 m/s,
+    A 0.08 to 0.22 m.
 
     Attributes:
         meeting: centre of the oscillation at ``meeting_s`` [m].
@@ -86,13 +90,16 @@ class HarmonicDrift(PrescribedMotion):
         """Return (K, 3) position [m]."""
         drifted = (time_s - self.meeting_s)[:, None] * np.asarray(self.drift)
         swing = sin(self.rate_rad_s * time_s + self.phase_rad)[:, None]
-        return np.asarray(self.meeting) + drifted + self.amplitude_m * swing * np.asarray(self.across)
+        return (
+            np.asarray(self.meeting) + drifted + self.amplitude_m * swing * np.asarray(self.across)
+        )
 
 
 @MOTIONS.register("line_then_arc")
 @dataclass(frozen=True)
 class LineThenArc(PrescribedMotion):
-    """A Dubins piece LS (Appendix "Geometric view"): speed 0.25 to 0.9 m/s, then an arc of 0.15 to 0.4 m radius.
+    """A Dubins piece LS (Appendix "Geometric view"): speed 0.25 to 0.9 m/s, then an arc of 0.15 to
+    0.4 m radius.
 
     Attributes:
         bend: where the line meets the arc [m].
@@ -120,23 +127,29 @@ class LineThenArc(PrescribedMotion):
     def position(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) position [m]."""
         since = time_s - self.bend_s
-        turn = self.speed_m_s * np.maximum(since, 0.0) / self.radius_m  # angle turned after the bend [rad]
+        turn = (
+            self.speed_m_s * np.maximum(since, 0.0) / self.radius_m
+        )  # angle turned after the bend [rad]
         along = self.speed_m_s * np.minimum(since, 0.0) + self.radius_m * sin(turn)
         aside = self.radius_m * (1 - cos(turn))
         c, s = cos(self.yaw_rad), sin(self.yaw_rad)
-        level = np.column_stack([along * c - aside * s, along * s + aside * c, np.zeros_like(along)])
+        level = np.column_stack(
+            [along * c - aside * s, along * s + aside * c, np.zeros_like(along)]
+        )
         return np.asarray(self.bend) + level
 
 
 KNOT_S = 0.5
 BASIS = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0
-"""Rows: coefficients of 1, s, s^2, s^3 for the four control points around a segment, s in [0, 1)."""
+"""Rows: coefficients of 1, s, s^2, s^3 for the four control points around a segment, s in [0,
+1)."""
 
 
 @MOTIONS.register("random_spline")
 @dataclass(frozen=True)
 class RandomSpline(PrescribedMotion):
-    """Twice continuously differentiable; control points every 0.5 s, steps of 0.15 to 0.45 m, drawn to their middle.
+    """Twice continuously differentiable; control points every 0.5 s, steps of 0.15 to 0.45 m, drawn
+    to their middle.
 
     Attributes:
         points: control points [m]; the first segment starts at t = 0.
@@ -167,6 +180,8 @@ class RandomSpline(PrescribedMotion):
         points = np.asarray(self.points)
         segment = np.clip(np.floor(time_s / self.knot_s).astype(int), 0, len(points) - 4)
         s = time_s / self.knot_s - segment
-        powers = np.column_stack([np.ones_like(s), s, s * s, s * s * s])  # (K, 4); `**` rounds by processor
+        powers = np.column_stack(
+            [np.ones_like(s), s, s * s, s * s * s]
+        )  # (K, 4); `**` rounds by processor
         weights = product(powers, BASIS)  # (K, 4)
         return np.einsum("kw,kwd->kd", weights, points[segment[:, None] + np.arange(4)])

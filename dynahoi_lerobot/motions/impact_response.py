@@ -6,7 +6,16 @@ from typing import ClassVar, Self
 import numpy as np
 
 from dynahoi_lerobot.motions.base import MOTIONS, Draw, PhysicalMotion
-from dynahoi_lerobot.motions.launch import GRAVITY_M_S2, Box, Launch, Striker, Vector, as_vector, heading, yaw_quat
+from dynahoi_lerobot.motions.launch import (
+    GRAVITY_M_S2,
+    Box,
+    Launch,
+    Striker,
+    Vector,
+    as_vector,
+    heading,
+    yaw_quat,
+)
 from dynahoi_lerobot.objects import ObjectType, TargetObject
 
 TABLE_HALF_M = (1.1, 0.9, 0.02)
@@ -20,7 +29,8 @@ class TabletopMotion(PhysicalMotion):
         contact: centre of the target at the impact [m].
         yaw_rad: horizontal direction of what moves before the impact, the striker or the target.
         speed_m_s: its speed at the impact.
-        impact_s: time of the impact [s]; earlier by less than a millisecond for a ball that begins to roll.
+        impact_s: time of the impact [s]; earlier by less than a millisecond for a ball that begins
+            to roll.
         restitution: rebound speed over approach speed.
         friction: sliding friction of the table.
     """
@@ -66,19 +76,28 @@ STRIKER_RADIUS_M = 0.02
 
 @MOTIONS.register("struck")
 class Struck(TabletopMotion):
-    """Striker of equal mass at 0.6 to 1.2 m/s, restitution 0.5 to 0.85, table friction 0.02 to 0.06."""
+    """Striker of equal mass at 0.6 to 1.2 m/s, restitution 0.5 to 0.85, table friction 0.02 to
+    0.06.
+    """
 
     phrase: ClassVar[str] = "struck by a ball"
 
     @classmethod
     def sample(cls, draw: Draw) -> Self:
-        """Draw speed, direction, materials; the impact is 0.25 to 0.6 s before the intercept and within the window."""
+        """Draw speed, direction, materials; the impact is 0.25 to 0.6 s before the intercept and
+        within the window.
+        """
         impact_s = max(0.05, min(draw.intercept_s - draw.uniform(0.25, 0.6), draw.window_s - 0.1))
         speed = draw.sample_speed(0.6, 1.2)
         yaw = np.pi + draw.uniform(-1.9, 1.9)
         return cls(
-            draw.meeting_point(), yaw, speed, impact_s, draw.uniform(0.5, 0.85), draw.uniform(0.02, 0.06)
-        )  # fmt: skip
+            draw.meeting_point(),
+            yaw,
+            speed,
+            impact_s,
+            draw.uniform(0.5, 0.85),
+            draw.uniform(0.02, 0.06),
+        )
 
     def launch(self, target: TargetObject) -> Launch:
         """Return the target at rest on the table and the striker in flight."""
@@ -89,7 +108,9 @@ class Struck(TabletopMotion):
             self.contact,
             quat=yaw_quat(self.yaw_rad),
             boxes=(self.table(target),),
-            striker=Striker(as_vector(start), velocity, STRIKER_RADIUS_M, target.mass_kg, self.restitution),
+            striker=Striker(
+                as_vector(start), velocity, STRIKER_RADIUS_M, target.mass_kg, self.restitution
+            ),
             friction=0.0,
         )
 
@@ -105,7 +126,9 @@ class WallRebound(TabletopMotion):
 
     @classmethod
     def sample(cls, draw: Draw) -> Self:
-        """Draw speed, direction, materials; the wall is hit 0.2 to 0.6 s before the intercept and within the window."""
+        """Draw speed, direction, materials; the wall is hit 0.2 to 0.6 s before the intercept and
+        within the window.
+        """
         impact_s = max(0.05, min(draw.intercept_s - draw.uniform(0.2, 0.6), draw.window_s - 0.05))
         yaw = draw.uniform(-2.2, 2.2)
         return cls(
@@ -114,9 +137,13 @@ class WallRebound(TabletopMotion):
         )  # fmt: skip
 
     def launch(self, target: TargetObject) -> Launch:
-        """Return the target sliding on the table, fast enough to meet the wall at ``impact_s``, and the wall."""
+        """Return the target sliding on the table, fast enough to meet the wall at ``impact_s``, and
+        the wall.
+        """
         direction, reach = self.direction(), reach_m(target)
-        lost = self.friction * GRAVITY_M_S2 * self.impact_s  # speed lost to friction on the way [m/s]
+        lost = (
+            self.friction * GRAVITY_M_S2 * self.impact_s
+        )  # speed lost to friction on the way [m/s]
         distance = (self.speed_m_s + lost / 2) * self.impact_s
         wall = np.asarray(self.contact) + (reach + WALL_HALF_M[0]) * direction
         wall[2] += WALL_HALF_M[2] - target.rest_height_m
@@ -124,6 +151,9 @@ class WallRebound(TabletopMotion):
             as_vector(np.asarray(self.contact) - distance * direction),
             quat=yaw_quat(self.yaw_rad),
             velocity=as_vector((self.speed_m_s + lost) * direction),
-            boxes=(self.table(target), Box(as_vector(wall), WALL_HALF_M, yaw_quat(self.yaw_rad), self.restitution)),
+            boxes=(
+                self.table(target),
+                Box(as_vector(wall), WALL_HALF_M, yaw_quat(self.yaw_rad), self.restitution),
+            ),
             friction=0.0,
         )

@@ -27,7 +27,8 @@ PLANK_HALF_WIDTH_M = 0.07
 
 @dataclass(frozen=True)
 class RollingMotion(PhysicalMotion):
-    """From rest with acceleration g (sin q - c cos q / r) / (1 + I / (m r^2)); c is the rolling friction [m].
+    """From rest with acceleration g (sin q - c cos q / r) / (1 + I / (m r^2)); c is the rolling
+    friction [m].
 
     Attributes:
         meeting: centre of the target ``run_m`` after its release, on the slope or at its foot [m].
@@ -53,12 +54,16 @@ class RollingMotion(PhysicalMotion):
 
     @classmethod
     def rolled(cls, draw: Draw, run_m: float, until_s: float) -> Self:
-        """Return a roll that reaches the meeting point at ``until_s`` [s], at most ``run_m`` [m] after its release."""
+        """Return a roll that reaches the meeting point at ``until_s`` [s], at most ``run_m`` [m]
+        after its release.
+        """
         slope = float(np.radians(draw.sample_speed(4, 12)))
         acceleration = rolling_acceleration(slope, draw.target)
         run = min(run_m, acceleration * until_s**2 / 2)
         yaw = np.pi + draw.uniform(-2.0, 2.0)
-        return cls(draw.meeting_point(), slope, yaw, run, until_s - float(np.sqrt(2 * run / acceleration)))
+        return cls(
+            draw.meeting_point(), slope, yaw, run, until_s - float(np.sqrt(2 * run / acceleration))
+        )
 
     def launch(self, target: TargetObject) -> Launch:
         """Return the plank and the target at rest on it, its axis across the slope."""
@@ -72,11 +77,17 @@ class RollingMotion(PhysicalMotion):
             friction=1.0,
         )
 
-    def surfaces(self, target: TargetObject, forward: np.ndarray, normal: np.ndarray) -> tuple[Box, ...]:
-        """Return the boxes the target rolls on: one plank, from 12 cm above the start to 60 cm past the meeting."""
+    def surfaces(
+        self, target: TargetObject, forward: np.ndarray, normal: np.ndarray
+    ) -> tuple[Box, ...]:
+        """Return the boxes the target rolls on: one plank, from 12 cm above the start to 60 cm past
+        the meeting.
+        """
         return (self.plank(target, forward, normal, 0.6),)
 
-    def plank(self, target: TargetObject, forward: np.ndarray, normal: np.ndarray, past_m: float) -> Box:
+    def plank(
+        self, target: TargetObject, forward: np.ndarray, normal: np.ndarray, past_m: float
+    ) -> Box:
         """Return the slope: from 12 cm above the start to ``past_m`` beyond the meeting point."""
         half_length = (self.run_m + 0.12 + past_m) / 2
         contact = np.asarray(self.meeting) - target.roll_radius_m * normal
@@ -94,7 +105,12 @@ class RollingMotion(PhysicalMotion):
         """Lay the object's axis of symmetry horizontally across the slope."""
         half, root = self.yaw_rad / 2, float(np.sqrt(0.5))
         c, s = float(cos(half)), float(sin(half))
-        return (c * root, -c * root, -s * root, s * root)  # yaw about z after a quarter turn about -x
+        return (
+            c * root,
+            -c * root,
+            -s * root,
+            s * root,
+        )  # yaw about z after a quarter turn about -x
 
 
 def rolling_acceleration(slope_rad: float, target: TargetObject) -> float:
@@ -131,12 +147,18 @@ class RampAndRunout(RollingMotion):
         level_s = min(draw.uniform(0.15, 0.5), 0.5 * draw.intercept_s)
         return cls.rolled(draw, draw.uniform(0.1, 0.4), draw.intercept_s - level_s)
 
-    def surfaces(self, target: TargetObject, forward: np.ndarray, normal: np.ndarray) -> tuple[Box, ...]:
-        """Return the slope, which ends under the meeting point, and the level track that begins there."""
+    def surfaces(
+        self, target: TargetObject, forward: np.ndarray, normal: np.ndarray
+    ) -> tuple[Box, ...]:
+        """Return the slope, which ends under the meeting point, and the level track that begins
+        there.
+        """
         flat, up = np.asarray(heading(self.yaw_rad)), np.array([0.0, 0.0, 1.0])
         foot = np.asarray(self.meeting) - target.roll_radius_m * normal
         center = foot + RUNOUT_HALF_M * flat - PLANK_HALF_THICKNESS_M * up
         track = Box(
-            as_vector(center), (RUNOUT_HALF_M, PLANK_HALF_WIDTH_M, PLANK_HALF_THICKNESS_M), yaw_quat(self.yaw_rad)
+            as_vector(center),
+            (RUNOUT_HALF_M, PLANK_HALF_WIDTH_M, PLANK_HALF_THICKNESS_M),
+            yaw_quat(self.yaw_rad),
         )
         return (self.plank(target, forward, normal, 0.0), track)

@@ -19,7 +19,9 @@ def as_vector(values: np.ndarray) -> Vector:
 
 
 def heading(yaw: float, pitch: float = 0.0) -> Vector:
-    """Return the unit vector at ``yaw`` from +x towards +y and ``pitch`` above the horizontal [rad], world."""
+    """Return the unit vector at ``yaw`` from +x towards +y and ``pitch`` above the horizontal
+    [rad], world.
+    """
     flat = cos(pitch)
     return (float(cos(yaw) * flat), float(sin(yaw) * flat), float(sin(pitch)))
 
@@ -30,7 +32,9 @@ def yaw_quat(yaw: float) -> Quaternion:
 
 
 def yaw_pitch_quat(yaw: float, pitch: float) -> Quaternion:
-    """Return the rotation that turns +x to ``yaw`` and to ``pitch`` below the horizontal [rad], wxyz."""
+    """Return the rotation that turns +x to ``yaw`` and to ``pitch`` below the horizontal [rad],
+    wxyz.
+    """
     cy, sy, cp, sp = cos(yaw / 2), sin(yaw / 2), cos(pitch / 2), sin(pitch / 2)
     return (float(cy * cp), float(-sy * sp), float(cy * sp), float(sy * cp))
 
@@ -47,7 +51,8 @@ class Box:
         half_size: half extents along its own axes [m].
         quat: orientation wxyz, world.
         restitution: of its contacts with the target, unless the target's own is greater.
-        friction: sliding friction coefficient of these contacts, unless the target's own is greater.
+        friction: sliding friction coefficient of these contacts, unless the target's own is
+            greater.
     """
 
     pos: Vector
@@ -85,11 +90,14 @@ class Launch:
         quat: its orientation wxyz, world.
         velocity: of its centre [m/s], world.
         spin: its angular velocity [rad/s], target frame.
-        release_s: the target is held still at ``pos`` until this time [s], and leaves with ``velocity``.
+        release_s: the target is held still at ``pos`` until this time [s], and leaves with
+            ``velocity``.
         boxes: up to two static boxes.
-        tether: where the string on which it hangs is fixed, massless, rigid and as long as it must be [m], world.
+        tether: where the string on which it hangs is fixed, massless, rigid and as long as it must
+            be [m], world.
         striker: the ball that hits it, if any.
-        restitution: of its contacts with anything but the hand, rebound speed over impact speed, 0 to 1.
+        restitution: of its contacts with anything but the hand, rebound speed over impact speed, 0
+            to 1.
         friction: sliding friction coefficient against surfaces; None for the object's own.
         drag_kg_s: linear drag on its centre [N s/m].
     """
@@ -108,10 +116,11 @@ class Launch:
 
 
 def ballistic_velocity(velocity: Vector) -> Vector:
-    """Return the initial velocity [m/s] that puts a simulated flight on the parabola that starts with ``velocity``.
+    """Return the initial velocity [m/s] that puts a simulated flight on the parabola that starts
+    with ``velocity``.
 
-    Semi-implicit Euler, started with v, is at x + v t - g t^2 / 2 - g h t / 2 at every step: it falls ahead of the
-    parabola, by what g h / 2 of initial velocity makes up for.
+    Semi-implicit Euler, started with v, is at x + v t - g t^2 / 2 - g h t / 2 at every step: it
+    falls ahead of the parabola, by what g h / 2 of initial velocity makes up for.
     """
     x, y, z = velocity
     return (x, y, z + GRAVITY_M_S2 * PHYSICS_DT / 2)

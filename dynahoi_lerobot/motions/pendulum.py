@@ -13,7 +13,8 @@ from dynahoi_lerobot.objects import TargetObject
 
 @dataclass(frozen=True)
 class SuspendedMotion(PhysicalMotion):
-    """A compound pendulum: the target turns with the string, so its moment of inertia adds to m l^2.
+    """A compound pendulum: the target turns with the string, so its moment of inertia adds to m
+    l^2.
 
     Attributes:
         anchor: where the string is fixed [m].
@@ -32,7 +33,9 @@ class SuspendedMotion(PhysicalMotion):
 
     @classmethod
     def hanging(cls, draw: Draw, angle_rad: float, drag_1_s: float = 0.0) -> Self:
-        """Return a pendulum of drawn length and direction whose lowest point is the meeting point."""
+        """Return a pendulum of drawn length and direction whose lowest point is the meeting
+        point.
+        """
         length = draw.uniform(0.3, 1.1)
         anchor = np.asarray(draw.meeting_point()) + [0.0, 0.0, length]
         return cls(as_vector(anchor), length, angle_rad, draw.angle(), drag_1_s)
@@ -55,12 +58,16 @@ class SuspendedMotion(PhysicalMotion):
         )
 
     def precession_rad_s(self, target: TargetObject) -> float:
-        """Return the initial angular speed about the vertical; none unless a kind says otherwise."""
+        """Return the initial angular speed about the vertical; none unless a kind says
+        otherwise.
+        """
         return 0.0
 
 
 def _into_frame(vector: np.ndarray, axis: np.ndarray, angle: float) -> np.ndarray:
-    """Components of a world vector in a frame that was turned by ``angle`` about ``axis`` (Rodrigues, backwards)."""
+    """Components of a world vector in a frame that was turned by ``angle`` about ``axis``
+    (Rodrigues, backwards).
+    """
     c, s = cos(-angle), sin(-angle)
     return vector * c + np.cross(axis, vector) * s + axis * product(axis, vector) * (1 - c)
 
@@ -89,7 +96,9 @@ class ConicalPendulum(SuspendedMotion):
         return cls.hanging(draw, float(np.radians(draw.sample_speed(12, 32))))
 
     def precession_rad_s(self, target: TargetObject) -> float:
-        """Return W with W^2 cos(a) (I + m l^2 - I_z) = m g l: the rigid body's steady precession."""
+        """Return W with W^2 cos(a) (I + m l^2 - I_z) = m g l: the rigid body's steady
+        precession.
+        """
         effective = max(target.inertia[:2]) + target.mass_kg * self.length_m**2 - target.inertia[2]
         torque = target.mass_kg * GRAVITY_M_S2 * self.length_m
         return float(np.sqrt(torque / (effective * cos(self.angle_rad))))
@@ -104,4 +113,6 @@ class DampedPendulum(SuspendedMotion):
     @classmethod
     def sample(cls, draw: Draw) -> Self:
         """Draw length, initial angle and drag."""
-        return cls.hanging(draw, float(np.radians(draw.sample_speed(20, 45))), draw.uniform(0.15, 0.5))
+        return cls.hanging(
+            draw, float(np.radians(draw.sample_speed(20, 45))), draw.uniform(0.15, 0.5)
+        )

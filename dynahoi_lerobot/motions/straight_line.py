@@ -14,7 +14,8 @@ RISE_M = 0.7
 
 @dataclass(frozen=True)
 class StraightMotion(PrescribedMotion):
-    """r(t) = meeting + u (v tau + a tau^2 / 2), tau = t - meeting_s (primitive L, Appendix "Kinematic Primitive").
+    """r(t) = meeting + u (v tau + a tau^2 / 2), tau = t - meeting_s (primitive L, Appendix
+    "Kinematic Primitive").
 
     Attributes:
         meeting: position at ``meeting_s`` [m].
@@ -39,7 +40,9 @@ class StraightMotion(PrescribedMotion):
 
     @classmethod
     def between(cls, draw: Draw, speeds: tuple[float, float]) -> Self:
-        """Return a line off the floor; its speed [m/s] changes evenly from the first to the second, at the horizon."""
+        """Return a line off the floor; its speed [m/s] changes evenly from the first to the second,
+        at the horizon.
+        """
         direction = draw.level_heading(RISE_M, sum(speeds) / 2 * draw.horizon_s)
         acceleration = (speeds[1] - speeds[0]) / draw.horizon_s
         speed = speeds[0] + acceleration * draw.intercept_s

@@ -1,4 +1,6 @@
-"""What an object is: a few solids of sampled size, with a mass, a friction and the ways they may move."""
+"""What an object is: a few solids of sampled size, with a mass, a friction and the ways they may
+move.
+"""
 
 import functools
 from collections.abc import Callable
@@ -19,7 +21,8 @@ class TargetObject:
 
     Attributes:
         name: its registered name.
-        primitives: its solids, in the object's frame: origin at the centre of mass, z along the axis of symmetry.
+        primitives: its solids, in the object's frame: origin at the centre of mass, z along the
+            axis of symmetry.
         mass_kg: its mass.
         inertia: principal moments of inertia [kg m^2], aligned with the object's frame.
         friction: sliding friction coefficient.
@@ -40,7 +43,9 @@ class TargetObject:
 
 @dataclass(frozen=True)
 class ObjectGeometry:
-    """The solids of one sampled object and the lengths that follow from them; ``TargetObject`` describes the fields."""
+    """The solids of one sampled object and the lengths that follow from them; ``TargetObject``
+    describes the fields.
+    """
 
     primitives: tuple[Primitive, ...]
     grasp_radius_m: float
@@ -53,7 +58,8 @@ SampleGeometry = Callable[[np.random.Generator], ObjectGeometry]
 
 
 class ObjectType:
-    """How objects of one name are sampled; ``object_type`` makes one from a function, whose docstring it has.
+    """How objects of one name are sampled; ``object_type`` makes one from a function, whose
+    docstring it has.
 
     Attributes:
         name: the registered name.
@@ -61,13 +67,17 @@ class ObjectType:
         slides: they stay flat when pushed along a surface.
     """
 
-    def __init__(self, name: str, sample_geometry: SampleGeometry, *, rolls: bool, slides: bool) -> None:
+    def __init__(
+        self, name: str, sample_geometry: SampleGeometry, *, rolls: bool, slides: bool
+    ) -> None:
         functools.update_wrapper(self, sample_geometry)  # type: ignore[arg-type]
         self.name, self.rolls, self.slides = name, rolls, slides
         self._sample_geometry = sample_geometry
 
     def sample(self, rng: np.random.Generator) -> TargetObject:
-        """Draw one object: geometry, mass (0.04 to 0.18 kg) and friction (0.6 to 1.1), in this order."""
+        """Draw one object: geometry, mass (0.04 to 0.18 kg) and friction (0.6 to 1.1), in this
+        order.
+        """
         geometry = self._sample_geometry(rng)
         mass = rng.uniform(*MASS_RANGE_KG)
         return TargetObject(
@@ -85,7 +95,9 @@ class ObjectType:
 OBJECTS: Registry[ObjectType] = Registry("object", "dynahoi_lerobot.objects")
 
 
-def object_type(name: str, *, rolls: bool = False, slides: bool = False) -> Callable[[SampleGeometry], ObjectType]:
+def object_type(
+    name: str, *, rolls: bool = False, slides: bool = False
+) -> Callable[[SampleGeometry], ObjectType]:
     """Return a decorator that registers a function of a random generator as the object ``name``.
 
     Args:

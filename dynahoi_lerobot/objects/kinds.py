@@ -1,6 +1,7 @@
 """The objects to catch: each function draws the sizes and positions of one object's solids [m].
 
-`ObjectGeometry` takes the solids, then the grasp radius, the rest height and, of objects that roll, the roll radius.
+`ObjectGeometry` takes the solids, then the grasp radius, the rest height and, of objects that roll,
+the roll radius.
 """
 
 import numpy as np
@@ -77,7 +78,9 @@ def bottle(rng: np.random.Generator) -> ObjectGeometry:
 
 @object_type("cup", slides=True)
 def cup(rng: np.random.Generator) -> ObjectGeometry:
-    """A mug: a solid cylinder of radius 2.8 to 3.6 cm and half height 3 to 4.2 cm, with a handle of three bars."""
+    """A mug: a solid cylinder of radius 2.8 to 3.6 cm and half height 3 to 4.2 cm, with a handle of
+    three bars.
+    """
     radius, half = rng.uniform(0.028, 0.036), rng.uniform(0.03, 0.042)
     body = Primitive("cylinder", (radius, half))
     bar = Primitive("capsule", (0.005, 0.5 * half), (0.0, radius + 0.016, 0.0))
@@ -111,7 +114,9 @@ def dumbbell(rng: np.random.Generator) -> ObjectGeometry:
 
 @object_type("jack")
 def jack(rng: np.random.Generator) -> ObjectGeometry:
-    """A jack: three crossed bars of radius 0.9 to 1.2 cm and half length 3 to 4 cm between the caps."""
+    """A jack: three crossed bars of radius 0.9 to 1.2 cm and half length 3 to 4 cm between the
+    caps.
+    """
     tube, half = rng.uniform(0.009, 0.012), rng.uniform(0.03, 0.04)
     turns = (IDENTITY_QUAT, ABOUT_X, ABOUT_Y)
     bars = tuple(Primitive("capsule", (tube, half), quat=turn) for turn in turns)
@@ -126,6 +131,11 @@ def ring(rng: np.random.Generator) -> ObjectGeometry:
     segments = []
     for i in range(8):
         x, y = float(cos(i * np.pi / 4)), float(sin(i * np.pi / 4))
-        tangent = (0.5**0.5, -(0.5**0.5) * x, -(0.5**0.5) * y, 0.0)  # a quarter turn about (-x, -y, 0)
+        tangent = (
+            0.5**0.5,
+            -(0.5**0.5) * x,
+            -(0.5**0.5) * y,
+            0.0,
+        )  # a quarter turn about (-x, -y, 0)
         segments.append(Primitive("capsule", (tube, half), (radius * x, radius * y, 0.0), tangent))
     return ObjectGeometry(tuple(segments), radius + tube, tube)

@@ -18,8 +18,8 @@ class Primitive:
 
     Attributes:
         shape: ``sphere``, ``capsule``, ``cylinder``, ``ellipsoid`` or ``box``.
-        size: MuJoCo's half-sizes [m]: (radius,) of a sphere, (radius, half length) of a capsule or cylinder along z,
-            (x, y, z) of an ellipsoid or a box.
+        size: MuJoCo's half-sizes [m]: (radius,) of a sphere, (radius, half length) of a capsule or
+            cylinder along z, (x, y, z) of an ellipsoid or a box.
         pos: centre [m].
         quat: orientation wxyz.
     """
@@ -37,10 +37,11 @@ class Primitive:
 
 
 def solid_inertia(primitives: tuple[Primitive, ...], mass_kg: float) -> tuple[float, float, float]:
-    """Return the moments of inertia (x, y, z) [kg m^2] of solids of one density about the origin of their frame.
+    """Return the moments of inertia (x, y, z) [kg m^2] of solids of one density about the origin of
+    their frame.
 
-    They are the principal ones if the products of inertia vanish, as they do for solids turned by right angles or
-    arranged in symmetry. Where solids overlap, their volume counts twice.
+    They are the principal ones if the products of inertia vanish, as they do for solids turned by
+    right angles or arranged in symmetry. Where solids overlap, their volume counts twice.
 
     Args:
         primitives: the solids.
@@ -51,20 +52,25 @@ def solid_inertia(primitives: tuple[Primitive, ...], mass_kg: float) -> tuple[fl
     total = np.zeros(3)
     for primitive, mass in zip(primitives, masses, strict=True):
         rotation = quat_to_matrix(np.asarray(primitive.quat))
-        own = np.diag(product(product(rotation, np.diag(mass * _unit_inertia(primitive))), rotation.T))
+        own = np.diag(
+            product(product(rotation, np.diag(mass * _unit_inertia(primitive))), rotation.T)
+        )
         offset = np.asarray(primitive.pos)
         total += own + mass * ((offset**2).sum() - offset**2)
     return (float(total[0]), float(total[1]), float(total[2]))
 
 
 def as_table(primitives: Sequence[Primitive]) -> np.ndarray:
-    """Return (S, 11) float32: MuJoCo's geom type, half-sizes [m], position [m] and quaternion wxyz of each solid."""
+    """Return (S, 11) float32: MuJoCo's geom type, half-sizes [m], position [m] and quaternion wxyz
+    of each solid.
+    """
     rows = [(GEOM_TYPES[p.shape], *p.half_size, *p.pos, *p.quat) for p in primitives]
     return np.array(rows, np.float32)
 
 
 def from_table(table: np.ndarray) -> tuple[Primitive, ...]:
-    """Return the solids of (S, 11) rows: undoes ``as_table``, up to rounding and zeros behind their sizes.
+    """Return the solids of (S, 11) rows: undoes ``as_table``, up to rounding and zeros behind their
+    sizes.
 
     Raises:
         ValueError: if a geom type is none of ``GEOM_TYPES``.
@@ -79,7 +85,9 @@ def from_table(table: np.ndarray) -> tuple[Primitive, ...]:
 
 
 def extent(primitives: Sequence[Primitive]) -> np.ndarray:
-    """Return (3,) how far the solids reach along each axis of their common frame [m], from end to end."""
+    """Return (3,) how far the solids reach along each axis of their common frame [m], from end to
+    end.
+    """
     reach = np.stack([_reach(p) for p in primitives])  # (S, 3)
     pos = np.array([p.pos for p in primitives])
     return (pos + reach).max(axis=0) - (pos - reach).min(axis=0)
@@ -125,9 +133,13 @@ def _unit_inertia(primitive: Primitive) -> np.ndarray:
 
 
 def _capsule_unit_inertia(radius: float, half: float) -> np.ndarray:
-    """(3,) moments of inertia per unit mass [m^2] of a cylinder of half length ``half`` with two hemispherical caps."""
+    """(3,) moments of inertia per unit mass [m^2] of a cylinder of half length ``half`` with two
+    hemispherical caps.
+    """
     barrel, caps = np.pi * radius**2 * 2 * half, 4 / 3 * np.pi * radius**3
     mb, mc = barrel / (barrel + caps), caps / (barrel + caps)
     axial = mb * radius**2 / 2 + mc * 0.4 * radius**2
-    across = mb * (3 * radius**2 + 4 * half**2) / 12 + mc * (0.4 * radius**2 + half**2 + 0.75 * half * radius)
+    across = mb * (3 * radius**2 + 4 * half**2) / 12 + mc * (
+        0.4 * radius**2 + half**2 + 0.75 * half * radius
+    )
     return np.array([across, across, axial])

@@ -1,1 +1,3 @@
-"""One world that moves by the clock: what LeRobot's robot interface and the page for people play in."""
+"""One world that moves by the clock: what LeRobot's robot interface and the page for people play
+in.
+"""

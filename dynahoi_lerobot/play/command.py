@@ -35,13 +35,19 @@ class Options:
     episodes: int = option(20, "number of scored episodes", whole(1, 10_000))
     first: int = option(0, "number of the first scored episode", whole(0, SEED_LIMIT - 1))
     out: Path | None = option(None, "result folder; an incomplete one is resumed")
-    record: Path | None = option(None, "write the scored episodes as a LeRobotDataset", metavar="DATASET")
-    policy: str | None = option(None, "also show how this checkpoint or baseline plays the same episodes")
+    record: Path | None = option(
+        None, "write the scored episodes as a LeRobotDataset", metavar="DATASET"
+    )
+    policy: str | None = option(
+        None, "also show how this checkpoint or baseline plays the same episodes"
+    )
     trust: bool = option(False, TRUST)
     rules: dict[str, Any] = given_of(
         Recipe, ("control_class", "capture", "hand", "protocol", "image_size", "path_speed")
     )
-    host: str = option("127.0.0.1", "address to listen on; any other than loopback requires a token")
+    host: str = option(
+        "127.0.0.1", "address to listen on; any other than loopback requires a token"
+    )
     port: int = option(8765, "port to listen on; 0 chooses a free one", whole(0, 65535))
 
 
@@ -49,13 +55,16 @@ def run(options: Options) -> int:
     """Serve the page until interrupted or all episodes are played; return the exit code.
 
     Raises:
-        ValueError: for an unknown name, a folder that holds something else, or an address that is in use.
+        ValueError: for an unknown name, a folder that holds something else, or an address that is
+            in use.
     """
     capture = options.rules.get("capture", Recipe.capture)
     actors = [make_actor(EXPERT_ALIAS, capture)]
     if options.policy:
         actors.append(make_actor(options.policy, capture, trust=options.trust))
-    recipe = Recipe(split=options.split, image_size=IMAGE_PX).changed(**playing_rules(options.rules, actors[-1]))
+    recipe = Recipe(split=options.split, image_size=IMAGE_PX).changed(
+        **playing_rules(options.rules, actors[-1])
+    )
     if not recipe.image_size:
         raise ValueError("--image-size is 0, but a player needs to see; leave it out")
     seeds = {
@@ -63,7 +72,9 @@ def run(options: Options) -> int:
         for number in range(options.first, options.first + options.episodes)
     }
     if len(set(seeds.values())) < len(seeds):
-        raise ValueError(f"--episodes must be at most {len(kind_seeds(recipe, options.motion))}, all there are")
+        raise ValueError(
+            f"--episodes must be at most {len(kind_seeds(recipe, options.motion))}, all there are"
+        )
     info = RunInfo.begun(f"human:{options.name}", recipe, inference="")
     with ExitStack() as stack:
         results = stack.enter_context(kept_results(options.out, info))

@@ -1,4 +1,6 @@
-"""A person's evaluation: episode after episode at the page, each followed by its metrics and by how others did."""
+"""A person's evaluation: episode after episode at the page, each followed by its metrics and by how
+others did.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +58,9 @@ class Game:
     async def __call__(self, player: Player) -> None:
         """Play with ``player`` until they leave."""
         while True:
-            await player.tell(ready={"left": len(self.numbers), "total": self.total, "practised": self.practised})
+            await player.tell(
+                ready={"left": len(self.numbers), "total": self.total, "practised": self.practised}
+            )
             if (asked := await player.asked.get()) is None:
                 return
             practising = asked != SCORED or not self.numbers
@@ -68,7 +72,9 @@ class Game:
                 self.numbers.pop(0)
                 self.keep(episode)
             if not player.gone:
-                await player.tell(result=await asyncio.to_thread(self._result, world, episode, practising))
+                await player.tell(
+                    result=await asyncio.to_thread(self._result, world, episode, practising)
+                )
 
     async def _play(self, player: Player, world: LiveWorld, practising: bool) -> Episode:
         """Play one episode; the world goes on if the page is closed in the middle of it."""
@@ -81,18 +87,27 @@ class Game:
         return episode
 
     def _result(self, world: LiveWorld, episode: Episode, practising: bool) -> dict:
-        """Return what the page shows after an episode: metrics and clips of the player and of the others."""
+        """Return what the page shows after an episode: metrics and clips of the player and of the
+        others.
+        """
         spec, rows = world.spec, [("you", episode)]
         for actor in self.others:
-            recipe = replace(world.recipe, views=tuple(sorted({*world.recipe.views, *actor.views} - {EGO_VIEW})))
-            rows.append((actor.name, next(evaluate(WorldBatch(recipe, 1), actor, [spec], images=True))))
+            recipe = replace(
+                world.recipe, views=tuple(sorted({*world.recipe.views, *actor.views} - {EGO_VIEW}))
+            )
+            rows.append(
+                (actor.name, next(evaluate(WorldBatch(recipe, 1), actor, [spec], images=True)))
+            )
         return {
             "practice": practising,
             "task": spec.task,
             "units": {name: METRICS[name].unit for name in SHOWN},
             "players": [
                 {"name": name, "stage": played.stage, "success": bool(played.success)}
-                | {"metrics": {name: measure(played)[name] for name in SHOWN}, "clip": _clip(played)}
+                | {
+                    "metrics": {name: measure(played)[name] for name in SHOWN},
+                    "clip": _clip(played),
+                }
                 for name, played in rows
             ],
         }

@@ -26,11 +26,12 @@ if TYPE_CHECKING:
 class LiveWorld:
     """One hand and one moving object on a clock.
 
-    The world is brought up to date whenever somebody looks at it or commands it, so that it needs no thread, and what
-    happens in it depends on the times of observations and commands alone. The first command starts the clock, so that
-    frame 0 ends midway between that command and the next observation, which is due one frame (50 ms) after the last. A
-    player that observes and commands once per frame then always commands the frame it saw, with 25 ms of slack either
-    way if it acts at once; deciding takes half its time from that slack. In a frame without a new command the hand
+    The world is brought up to date whenever somebody looks at it or commands it, so that it needs
+    no thread, and what happens in it depends on the times of observations and commands alone. The
+    first command starts the clock, so that frame 0 ends midway between that command and the next
+    observation, which is due one frame (50 ms) after the last. A player that observes and commands
+    once per frame then always commands the frame it saw, with 25 ms of slack either way if it acts
+    at once; deciding takes half its time from that slack. In a frame without a new command the hand
     follows the last one.
 
     Attributes:
@@ -70,7 +71,8 @@ class LiveWorld:
         self._fresh = False
 
     def begin(self, number: int, player: str) -> None:
-        """Lay out episode ``number`` of the split and the kind: its frame 0 can be seen, its clock stands still.
+        """Lay out episode ``number`` of the split and the kind: its frame 0 can be seen, its clock
+        stands still.
 
         Raises:
             ValueError: for a negative number or one beyond 2^40 - 1.
@@ -89,7 +91,9 @@ class LiveWorld:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """What a player is told of the present: the task, seconds left of window and episode, whether it is caught."""
+        """What a player is told of the present: the task, seconds left of window and episode,
+        whether it is caught.
+        """
         spec, frame = self.spec, int(self.batch.frame[0])
         return {
             "task": spec.task,
@@ -115,7 +119,8 @@ class LiveWorld:
         return self._seen
 
     def command(self, command: np.ndarray) -> None:
-        """Give the hand its next command, (18,): palm centre [m], home frame, and joint angles [rad].
+        """Give the hand its next command, (18,): palm centre [m], home frame, and joint angles
+        [rad].
 
         The first one starts the clock.
 

@@ -23,7 +23,8 @@ MAX_MESSAGE_BYTES = 4096
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 JPEG_QUALITY = 90
 BUSY, BAD_MESSAGE = 4001, 4002
-"""Codes with which the socket is closed: somebody else is playing, and a message that cannot be read."""
+"""Codes with which the socket is closed: somebody else is playing, and a message that cannot be
+read."""
 
 
 @dataclass
@@ -32,7 +33,8 @@ class Player:
 
     Attributes:
         steering: the latest input.
-        sent_ms: the time that the page gave with it, by its own clock [ms]; it is sent back with the next image.
+        sent_ms: the time that the page gave with it, by its own clock [ms]; it is sent back with
+            the next image.
         asked: what the page asks to play, oldest first; None once the page is closed.
     """
 
@@ -49,7 +51,9 @@ class Player:
     async def show(self, image: np.ndarray, **facts: Any) -> None:
         """Send an image (H, W, 3) uint8 RGB, and JSON values about it."""
         echo, self.sent_ms = self.sent_ms, None
-        encoded = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
+        encoded = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[
+            1
+        ]
         await self.tell(frame={**facts, "echo": echo})
         if not self.gone:
             await self.socket.send_bytes(encoded.tobytes())
@@ -87,7 +91,9 @@ class PlayServer:
         address: of the page, with the token if there is one; empty until the server runs.
     """
 
-    def __init__(self, game: Callable[[Player], Awaitable[None]], host: str, port: int, token: str) -> None:
+    def __init__(
+        self, game: Callable[[Player], Awaitable[None]], host: str, port: int, token: str
+    ) -> None:
         """Take what plays with a player, and where to listen.
 
         Args:
@@ -116,7 +122,9 @@ class PlayServer:
             await site.start()
             port = runner.addresses[0][1]
             host = f"[{self._host}]" if ":" in self._host else self._host
-            self.address = f"http://{host}:{port}/" + (f"?token={self._token}" if self._token else "")
+            self.address = f"http://{host}:{port}/" + (
+                f"?token={self._token}" if self._token else ""
+            )
             started(self.address)
             await asyncio.Event().wait()
         finally:
@@ -129,8 +137,12 @@ class PlayServer:
     def _check(self, request: web.Request) -> None:
         """Refuse whoever lacks the token, and pages of other origins."""
         if not hmac.compare_digest(request.query.get("token", "").encode(), self._token.encode()):
-            raise web.HTTPForbidden(text="This page needs the address with its token, as the command printed it.")
-        if self._host in LOOPBACK and (request.url.host or "") not in LOOPBACK:  # a name rebound to this machine
+            raise web.HTTPForbidden(
+                text="This page needs the address with its token, as the command printed it."
+            )
+        if (
+            self._host in LOOPBACK and (request.url.host or "") not in LOOPBACK
+        ):  # a name rebound to this machine
             raise web.HTTPForbidden(text=f"This server is {self._host}, not {request.url.host}.")
         origin = request.headers.get("Origin")
         if origin is not None and origin != str(request.url.origin()):
@@ -138,20 +150,27 @@ class PlayServer:
 
     async def _page(self, request: web.Request) -> web.Response:
         self._check(request)
-        policy = "default-src 'none'; img-src blob: data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'; "
+        policy = (
+            "default-src 'none'; img-src blob: data:; style-src 'unsafe-inline'; script-src "
+            "'unsafe-inline'; "
+        )
         headers = {
             "Content-Security-Policy": policy + "connect-src 'self'; frame-ancestors 'none'",
             "Cache-Control": "no-store",
             "Referrer-Policy": "no-referrer",
         }
-        return web.Response(text=PAGE.read_text(encoding="utf-8"), content_type="text/html", headers=headers)
+        return web.Response(
+            text=PAGE.read_text(encoding="utf-8"), content_type="text/html", headers=headers
+        )
 
     async def _socket(self, request: web.Request) -> web.WebSocketResponse:
         self._check(request)
         socket = web.WebSocketResponse(max_msg_size=MAX_MESSAGE_BYTES, heartbeat=20.0)
         await socket.prepare(request)
         if self._playing is not None:
-            await socket.close(code=BUSY, message=b"somebody is playing already; close the other tab")
+            await socket.close(
+                code=BUSY, message=b"somebody is playing already; close the other tab"
+            )
             return socket
         self._playing, player = socket, Player(socket)
         game = asyncio.ensure_future(self._game(player))

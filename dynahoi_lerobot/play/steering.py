@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from dynahoi_lerobot.play.live_world import LiveWorld
 
 POINTED_M, DEPTH_M = 0.4, 0.25
-"""Distance from the hand's camera at which the pointed place is taken to lie, and how far forward full depth aims."""
+"""Distance from the hand's camera at which the pointed place is taken to lie, and how far forward
+full depth aims."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,9 @@ class Steering:
         if not isinstance(message, dict):
             raise ValueError(f"an input must be an object, got {type(message).__name__}")
         values = [
-            value for name in ("x", "y", "depth", "closed") if isinstance(value := message.get(name), int | float)
+            value
+            for name in ("x", "y", "depth", "closed")
+            if isinstance(value := message.get(name), int | float)
         ]
         if len(values) < 4 or not all(abs(value) < 1e6 for value in values):
             raise ValueError("an input needs the finite numbers x, y, depth and closed")
@@ -53,17 +56,23 @@ class Steering:
     def command(self, world: LiveWorld) -> np.ndarray:
         """Return (18,) the command: palm centre [m], home frame, and joint angles [rad].
 
-        The palm goes where the pointer points in the plane of the hand's camera, and forward. Under ``attach`` closing
-        means the object's reference grasp, since nothing stops the fingers there; under ``contact`` the closed hand.
+        The palm goes where the pointer points in the plane of the hand's camera, and forward. Under
+        ``attach`` closing means the object's reference grasp, since nothing stops the fingers
+        there; under ``contact`` the closed hand.
         """
         batch, spec = world.batch, world.spec
         model, hand = batch.scene.model, batch.scene.hand
         axes = quat_to_matrix(camera_pose(model, EGO_VIEW)[3:])  # columns: right, up, backwards
         focal, _, centre, _ = intrinsics(model, EGO_VIEW, world.recipe.image_size)
-        way = axes @ np.array([self.x * POINTED_M * centre / focal, self.y * POINTED_M * centre / focal, 0.0])
+        way = axes @ np.array(
+            [self.x * POINTED_M * centre / focal, self.y * POINTED_M * centre / focal, 0.0]
+        )
         way += axes @ np.array([0.0, 0.0, -self.depth * DEPTH_M])
         touching = CAPTURES[world.recipe.capture].uses_contact_sensors
         closed = hand.closed_joints() if touching else spec.reference_joints
         return np.concatenate(
-            [batch.state[0, :PALM_DOF] + way, hand.open_joints() * (1 - self.closed) + closed * self.closed]
+            [
+                batch.state[0, :PALM_DOF] + way,
+                hand.open_joints() * (1 - self.closed) + closed * self.closed,
+            ]
         )

@@ -31,7 +31,9 @@ class Options:
     """Of ``dynahoi pretrain``."""
 
     recipe: Path = option(MISSING, "YAML file, such as recipes/eye/ego_96.yaml")
-    out: Path | None = option(None, "output folder instead of the recipe's; an incomplete run is resumed")
+    out: Path | None = option(
+        None, "output folder instead of the recipe's; an incomplete run is resumed"
+    )
     set: list[tuple[str, Any]] = option(
         list,
         "override a field of the recipe, such as images=100000; may be repeated",
@@ -41,11 +43,16 @@ class Options:
 
 
 def run(options: Options) -> int:
-    """Train, print a line at each save, and return the exit code: 1 without ObAct or for a loss that is not finite."""
+    """Train, print a line at each save, and return the exit code: 1 without ObAct or for a loss
+    that is not finite.
+    """
     try:
         from dynahoi_lerobot.pretrain.eye_training import Training
     except ImportError as error:
-        print(f"dynahoi pretrain: needs ObAct ({error}): install lerobot_policy_obact", file=sys.stderr)
+        print(
+            f"dynahoi pretrain: needs ObAct ({error}): install lerobot_policy_obact",
+            file=sys.stderr,
+        )
         return 1
     changes = dict(options.set) | ({} if options.out is None else {"out": str(options.out)})
     recipe = read_recipe(options.recipe, **changes)

@@ -1,4 +1,6 @@
-"""Training of ObAct's eye on images of random configurations, for `dynahoi pretrain`; imports torch and ObAct."""
+"""Training of ObAct's eye on images of random configurations, for `dynahoi pretrain`; imports torch
+and ObAct.
+"""
 
 import json
 import math
@@ -33,7 +35,8 @@ WARMUP_UPDATES, GRADIENT_CLIP = 200, 5.0
 
 
 def sighting_loss(eye: Eye, camera: Pinhole, images: Tensor, place: Tensor) -> Tensor:
-    """Return the loss of each image: attention, Laplace likelihood of direction and depth, and error in metres.
+    """Return the loss of each image: attention, Laplace likelihood of direction and depth, and
+    error in metres.
 
     Args:
         eye: whose loss it is.
@@ -49,11 +52,19 @@ def sighting_loss(eye: Eye, camera: Pinhole, images: Tensor, place: Tensor) -> T
     error = torch.stack([across, along], dim=-1)  # (F, 2)
     likelihood = (error * (-scales).exp() + scales * scales.new_tensor([2.0, 1.0])).sum(-1)
     metric = (camera.place(seen) - place).norm(dim=-1) / (0.05 + 0.3 * place.norm(dim=-1))
-    return HEAT_WEIGHT * _heat_loss(heat, true) + 0.1 * likelihood + across + along + metric.clamp_max(4.0)
+    return (
+        HEAT_WEIGHT * _heat_loss(heat, true)
+        + 0.1 * likelihood
+        + across
+        + along
+        + metric.clamp_max(4.0)
+    )
 
 
 def _heat_loss(heat: Tensor, true: Tensor) -> Tensor:
-    """Return the cross-entropy of the cell that the target is in, 0 where it is out of view, ``(F,)``."""
+    """Return the cross-entropy of the cell that the target is in, 0 where it is out of view,
+    ``(F,)``.
+    """
     size = true.new_tensor([heat.shape[-1], heat.shape[-2]])
     place = ((true[:, :2] * true.new_tensor([1.0, -1.0]) + 1) / 2 * size).floor().long()
     cell = torch.minimum(place.clamp_min(0), size.long() - 1)
@@ -61,14 +72,19 @@ def _heat_loss(heat: Tensor, true: Tensor) -> Tensor:
 
 
 def _alike(saved: Any, wanted: Tensor) -> bool:
-    """Tell whether what was saved is a tensor like the one that is wanted, the same if that is a number, and finite."""
+    """Tell whether what was saved is a tensor like the one that is wanted, the same if that is a
+    number, and finite.
+    """
     if not isinstance(saved, Tensor) or (saved.shape, saved.dtype) != (wanted.shape, wanted.dtype):
         return False
-    return bool(saved.isfinite().all() and wanted.isfinite().all()) and (wanted.dim() > 0 or saved.equal(wanted))
+    return bool(saved.isfinite().all() and wanted.isfinite().all()) and (
+        wanted.dim() > 0 or saved.equal(wanted)
+    )
 
 
 class RenderedImages(IterableDataset):
-    """What an eye is shown in the updates from ``first`` on: images ``(F, H, W, 6)`` uint8 and places ``(F, 3)`` [m].
+    """What an eye is shown in the updates from ``first`` on: images ``(F, H, W, 6)`` uint8 and
+    places ``(F, 3)`` [m].
 
     Several workers take turns. Each begins a new stream of random numbers after every save.
     """
@@ -81,16 +97,22 @@ class RenderedImages(IterableDataset):
         info, every = get_worker_info(), self._recipe.save_every
         turn, n_workers = (0, 1) if info is None else (info.id, info.num_workers)
         stream = ImageStream(self._recipe, (self._first + turn) % n_workers, n_workers)
-        for save, updates in groupby(range(self._first + turn, self._recipe.updates, n_workers), lambda i: i // every):
+        for save, updates in groupby(
+            range(self._first + turn, self._recipe.updates, n_workers), lambda i: i // every
+        ):
             for _, shown in zip(updates, stream(save * every), strict=False):
                 yield shown.images, shown.place
 
 
 class RunFolder:
-    """Keeps log and saved state together: what was logged after the last save is dropped when a run resumes from it."""
+    """Keeps log and saved state together: what was logged after the last save is dropped when a run
+    resumes from it.
+    """
 
     def __init__(self, path: Path, task: dict[str, Any]) -> None:
-        """Claim a folder for ``task`` as long as this object lives; raises what ``working_folder`` raises."""
+        """Claim a folder for ``task`` as long as this object lives; raises what ``working_folder``
+        raises.
+        """
         self.path = path
         claim = ExitStack()
         claim.enter_context(working_folder(path, task))
@@ -112,17 +134,22 @@ class RunFolder:
             (self.path / LOG).unlink(missing_ok=True)
             return None
         with reading(self.path / STATE):
-            state = torch.load(regular_zip(self.path / STATE, WEIGHTS_BYTES), weights_only=True, map_location="cpu")
+            state = torch.load(
+                regular_zip(self.path / STATE, WEIGHTS_BYTES), weights_only=True, map_location="cpu"
+            )
             log = str(state["log"])
-        write_atomically({self.path / LOG: lambda path: path.write_text(log)})  # in place of a pipe or a link, too
+        write_atomically(
+            {self.path / LOG: lambda path: path.write_text(log)}
+        )  # in place of a pipe or a link, too
         return state
 
 
 class Training:
-    """A run of a recipe on images seen once each, which can be killed at any time and resumed from its last save.
+    """A run of a recipe on images seen once each, which can be killed at any time and resumed from
+    its last save.
 
-    However often it is killed, it ends with the same weights to the bit on the same machine: every save begins a new
-    stream of images, and after the first weights nothing else is drawn.
+    However often it is killed, it ends with the same weights to the bit on the same machine: every
+    save begins a new stream of images, and after the first weights nothing else is drawn.
 
     Args:
         recipe: what to do.
@@ -138,30 +165,58 @@ class Training:
             eye = Eye(**recipe.eye)
             eye.load_pretrained()
             self._eye = eye.to(recipe.device)
-        except Exception as error:  # whatever options and devices that do not exist make torch raise
-            raise ValueError(f"eye is {recipe.eye} on {recipe.device!r}, which cannot be made: {error}") from error
+        except (
+            Exception
+        ) as error:  # whatever options and devices that do not exist make torch raise
+            raise ValueError(
+                f"eye is {recipe.eye} on {recipe.device!r}, which cannot be made: {error}"
+            ) from error
         pose, (focal_px, _, centre_px, _) = calibration(recipe)
         carried = recipe.camera == EGO_VIEW
-        self._camera = Pinhole.from_pose(pose.tolist(), centre_px / focal_px, carried=carried).to(recipe.device)
+        self._camera = Pinhole.from_pose(pose.tolist(), centre_px / focal_px, carried=carried).to(
+            recipe.device
+        )
         self.optimizer = torch.optim.AdamW(eye.parameters(), lr=0.0, weight_decay=1e-4)
         self.n_updates, self._spent_s = 0, 0.0
         self._folder = RunFolder(recipe.out, draccus.encode(replace(recipe, out=Path())))
         with reading(recipe.out / STATE):
             if state := self._folder.restore():
-                require(state, {"updates": int, "processor_s": float, "weights": dict, "optimizer": dict, "log": str})
+                require(
+                    state,
+                    {
+                        "updates": int,
+                        "processor_s": float,
+                        "weights": dict,
+                        "optimizer": dict,
+                        "log": str,
+                    },
+                )
                 self.n_updates, self._spent_s = state["updates"], state["processor_s"]
                 if not 1 <= self.n_updates <= recipe.updates or not 0 <= self._spent_s < math.inf:
                     told = f"{self.n_updates} updates in {self._spent_s} s"
-                    raise ValueError(f"it says {told}; it must be 1 to {recipe.updates}, in 0 s or more")
+                    raise ValueError(
+                        f"it says {told}; it must be 1 to {recipe.updates}, in 0 s or more"
+                    )
                 self._eye.load_state_dict(state["weights"])
                 require(state["optimizer"], {"state": dict[int, dict[str, Any]]})
                 moments = state["optimizer"]["state"]
                 for place, weight in enumerate(self._eye.parameters()):
-                    wanted = {"step": torch.tensor(float(self.n_updates)), "exp_avg": weight, "exp_avg_sq": weight}
+                    wanted = {
+                        "step": torch.tensor(float(self.n_updates)),
+                        "exp_avg": weight,
+                        "exp_avg_sq": weight,
+                    }
                     held = moments.get(place, {})
-                    if wrong := [name for name in wanted if not _alike(held.get(name), wanted[name])]:
-                        raise ValueError(f"weight {place} or its {wrong[0]} is not that of {self.n_updates} updates")
-                groups = self.optimizer.state_dict()["param_groups"]  # the recipe's, whatever the file says
+                    if wrong := [
+                        name for name in wanted if not _alike(held.get(name), wanted[name])
+                    ]:
+                        raise ValueError(
+                            f"weight {place} or its {wrong[0]} is not that of {self.n_updates} "
+                            f"updates"
+                        )
+                groups = self.optimizer.state_dict()[
+                    "param_groups"
+                ]  # the recipe's, whatever the file says
                 self.optimizer.load_state_dict({"state": moments, "param_groups": groups})
 
     @property
@@ -170,14 +225,19 @@ class Training:
         return self.n_updates >= self.recipe.updates
 
     def run(self) -> Iterator[dict[str, Any]]:
-        """Learn until all images have been seen, then write the weights; yield a line of the log after each save.
+        """Learn until all images have been seen, then write the weights; yield a line of the log
+        after each save.
 
         The weights are for the option ``weights`` of `Eye`. Raises what ``update`` raises.
         """
         recipe, losses = self.recipe, []
         shown = RenderedImages(recipe, self.n_updates)
-        context = "spawn" if recipe.workers else None  # a process that is forked from one that uses CUDA cannot
-        for images, place in DataLoader(shown, None, num_workers=recipe.workers, multiprocessing_context=context):
+        context = (
+            "spawn" if recipe.workers else None
+        )  # a process that is forked from one that uses CUDA cannot
+        for images, place in DataLoader(
+            shown, None, num_workers=recipe.workers, multiprocessing_context=context
+        ):
             losses.append(self.update(images, place))
             if self.n_updates % recipe.save_every and not self.finished:
                 continue
@@ -188,11 +248,14 @@ class Training:
             self._folder.log(line)
             self._save()
             yield line
-        write_atomically({self.recipe.out / WEIGHTS: lambda path: save_file(self._eye.state_dict(), path)})
+        write_atomically(
+            {self.recipe.out / WEIGHTS: lambda path: save_file(self._eye.state_dict(), path)}
+        )
         self._folder.release()
 
     def update(self, shown: Tensor, place: Tensor) -> float:
-        """Take one step on images ``(F, H, W, 6)`` of targets at ``place`` ``(F, 3)`` [m], and return its loss.
+        """Take one step on images ``(F, H, W, 6)`` of targets at ``place`` ``(F, 3)`` [m], and
+        return its loss.
 
         Raises:
             FloatingPointError: if the loss is not finite; no weight has changed then.
@@ -201,9 +264,13 @@ class Training:
         images = rearrange(shown.to(device), "f h w c -> f c h w") / 255.0
         loss = sighting_loss(self._eye, self._camera, images, place.to(device)).mean()
         if not math.isfinite(value := loss.item()):
-            raise FloatingPointError(f"the loss of update {self.n_updates} is {value}; lower learning_rate")
+            raise FloatingPointError(
+                f"the loss of update {self.n_updates} is {value}; lower learning_rate"
+            )
         progress = self.n_updates / self.recipe.updates
-        rate = min(1.0, (self.n_updates + 1) / WARMUP_UPDATES) * (0.02 + 0.49 * (1 + math.cos(math.pi * progress)))
+        rate = min(1.0, (self.n_updates + 1) / WARMUP_UPDATES) * (
+            0.02 + 0.49 * (1 + math.cos(math.pi * progress))
+        )
         for group in self.optimizer.param_groups:
             group["lr"] = self.recipe.learning_rate * rate
         self.optimizer.zero_grad()

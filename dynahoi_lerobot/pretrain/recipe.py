@@ -22,14 +22,16 @@ class PretrainRecipe:
         device: of the training.
         workers: processes that render; 0 renders between the updates, in the training's own.
         episodes: what the images show.
-        hands: names of the hands that take turns from update to update; none for that of ``episodes``.
+        hands: names of the hands that take turns from update to update; none for that of
+            ``episodes``.
         n_episodes: how many different episodes are shown, with each hand.
-        randomized_share: share of those whose appearance is randomised in every way, see ``randomization``.
+        randomized_share: share of those whose appearance is randomised in every way, see
+            ``randomization``.
         images: images in all, each seen once.
         batch_size: images in an update.
         learning_rate: of AdamW, with a warm-up and cosine decay.
-        save_every: updates between saves. After each the images come from a new stream of random numbers, so that a
-            resumed run sees the same ones as a run that was never killed.
+        save_every: updates between saves. After each the images come from a new stream of random
+            numbers, so that a resumed run sees the same ones as a run that was never killed.
         seed: of every draw.
     """
 
@@ -49,7 +51,9 @@ class PretrainRecipe:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        """Check what could only fail after minutes; ValueError naming the value received and the ones allowed."""
+        """Check what could only fail after minutes; ValueError naming the value received and the
+        ones allowed.
+        """
         if self.camera not in CAMERAS:
             raise ValueError(f"camera must be {' or '.join(CAMERAS)}, got {self.camera}")
         for name in ("n_episodes", "batch_size", "save_every"):
@@ -58,7 +62,9 @@ class PretrainRecipe:
         if not 0 <= self.randomized_share <= 1:
             raise ValueError(f"randomized_share must be 0 to 1, got {self.randomized_share}")
         if self.images < self.batch_size:
-            raise ValueError(f"images must be at least batch_size, {self.batch_size}, got {self.images}")
+            raise ValueError(
+                f"images must be at least batch_size, {self.batch_size}, got {self.images}"
+            )
         if self.workers < 0:
             raise ValueError(f"workers must be 0 or more, got {self.workers}")
 

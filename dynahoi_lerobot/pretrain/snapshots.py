@@ -1,4 +1,6 @@
-"""Images of random configurations, posed without physics, with where the target is: what an eye learns from."""
+"""Images of random configurations, posed without physics, with where the target is: what an eye
+learns from.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -19,12 +21,14 @@ from dynahoi_lerobot.world.batch import WorldBatch
 from dynahoi_lerobot.world.sensors import camera_pose, intrinsics
 
 POSES = 8
-"""Configurations of a world before it shows another episode: to begin one costs as much as several images."""
+"""Configurations of a world before it shows another episode: to begin one costs as much as several
+images."""
 HOME_SHARE = 0.25
-"""Share of the images from home, while the hand watches; that is where most of what stands about is in view."""
+"""Share of the images from home, while the hand watches; that is where most of what stands about is
+in view."""
 NEAR_SHARE, APPROACH_SHARE = 0.35, 0.45
-"""Shares of the other images with the palm at the target, where an error of centimetres decides, and on its way
-there; in the rest it is anywhere behind it."""
+"""Shares of the other images with the palm at the target, where an error of centimetres decides,
+and on its way there; in the rest it is anywhere behind it."""
 NEAR_M = 0.06
 """Standard deviation of the palm from the target when it is near, along each axis [m]."""
 STRAY_M = 0.04
@@ -35,7 +39,8 @@ NEAREST_M, FARTHEST_M = (0.02, -0.3, -0.3), (0.8, 0.3, 0.3)
 """Range of the target's position relative to the palm in the other images [m], world axes."""
 OPEN_SHARE = 0.5
 FINGERS_MOVE_SHARE = 0.4
-"""Share of the other images in which the fingers move: else whatever moves in the hand would pass for a target."""
+"""Share of the other images in which the fingers move: else whatever moves in the hand would pass
+for a target."""
 MOST_OPENED, MOST_CLOSED = 0.3, 0.7
 """How far fingers may move between the two images, of the way from open to closed."""
 REPEATED_SHARE = 0.03
@@ -46,7 +51,8 @@ PALM_SPEEDS_M_S = [control.palm_speed_m_s for control in CONTROL_CLASSES.values(
 SLOW_M_S, FAST_M_S = min(PALM_SPEEDS_M_S), max(PALM_SPEEDS_M_S)
 """Greatest speeds of hands: those of the slowest and the fastest control class."""
 WANDER_M = 0.1
-"""Standard deviation of the point that a moving hand heads for from the target, along each axis [m]."""
+"""Standard deviation of the point that a moving hand heads for from the target, along each axis
+[m]."""
 LOWEST_PALM_M = 0.05
 SLOWER, FASTER = 0.6, 1.6
 """Least and greatest speed of a target between the two images, relative to its own."""
@@ -58,8 +64,8 @@ class Snapshots:
 
     Attributes:
         images: (N, H, W, 6) uint8 RGB of a camera, and RGB one frame before.
-        place: (N, 3) float32 target centre relative to the palm centre, or, if the camera stands still, to where that
-            is at home [m], world axes.
+        place: (N, 3) float32 target centre relative to the palm centre, or, if the camera stands
+            still, to where that is at home [m], world axes.
         from_palm: (N, 3) target centre relative to the palm centre [m], world axes.
     """
 
@@ -69,7 +75,9 @@ class Snapshots:
 
 
 def calibration(recipe: PretrainRecipe) -> tuple[np.ndarray, np.ndarray]:
-    """Return the camera's pose (7,), as ``stats/ego_camera``, and intrinsics (4,) [px], as ``stats/ego_intrinsics``."""
+    """Return the camera's pose (7,), as ``stats/ego_camera``, and intrinsics (4,) [px], as
+    ``stats/ego_intrinsics``.
+    """
     model, name = compile_scene(recipe.episodes.hand).model, recipe.camera
     return camera_pose(model, name), intrinsics(model, name, recipe.episodes.image_size)
 
@@ -77,17 +85,21 @@ def calibration(recipe: PretrainRecipe) -> tuple[np.ndarray, np.ndarray]:
 class ImageStream:
     """The images of an eye's recipe, a batch for each update, from any update on.
 
-    Each call starts a stream seeded by the recipe's seed, the update and the worker. Episodes are sampled at the first
-    one; each of several workers shows a part of them.
+    Each call starts a stream seeded by the recipe's seed, the update and the worker. Episodes are
+    sampled at the first one; each of several workers shows a part of them.
     """
 
     def __init__(self, recipe: PretrainRecipe, worker: int = 0, n_workers: int = 1) -> None:
         self._recipe, self._worker, self._n_workers = recipe, worker, n_workers
 
     def __call__(self, update: int) -> Iterator[Snapshots]:
-        """Yield images forever, as a run that resumes from ``update`` sees them; hands take turns."""
+        """Yield images forever, as a run that resumes from ``update`` sees them; hands take
+        turns.
+        """
         rng = np.random.default_rng([self._recipe.seed, update, self._worker])
-        by_hand = [snapshots(batch, specs, rng, self._recipe.camera) for batch, specs in self._shown]
+        by_hand = [
+            snapshots(batch, specs, rng, self._recipe.camera) for batch, specs in self._shown
+        ]
         return chain.from_iterable(zip(*by_hand, strict=True))
 
     @cached_property
@@ -97,10 +109,15 @@ class ImageStream:
         recipes = [replace(episodes, hand=hand) for hand in self._recipe.hands] or [episodes]
         chosen = range(self._worker, self._recipe.n_episodes, self._n_workers)
         size = self._recipe.batch_size
-        return [(WorldBatch(one, size, threads=1), shown_specs(self._recipe, one, chosen)) for one in recipes]
+        return [
+            (WorldBatch(one, size, threads=1), shown_specs(self._recipe, one, chosen))
+            for one in recipes
+        ]
 
 
-def shown_specs(recipe: PretrainRecipe, episodes: Recipe, chosen: Sequence[int]) -> list[EpisodeSpec]:
+def shown_specs(
+    recipe: PretrainRecipe, episodes: Recipe, chosen: Sequence[int]
+) -> list[EpisodeSpec]:
     """Return the ``chosen`` ones of the episodes that are shown; the last of all are randomised."""
     n_plain = round(recipe.n_episodes * (1 - recipe.randomized_share))
     randomized = replace(episodes, appearance=tuple(RANDOMIZATIONS))
@@ -109,9 +126,13 @@ def shown_specs(recipe: PretrainRecipe, episodes: Recipe, chosen: Sequence[int])
 
 
 def snapshots(
-    batch: WorldBatch, specs: Sequence[EpisodeSpec], rng: np.random.Generator, camera: str = EGO_VIEW
+    batch: WorldBatch,
+    specs: Sequence[EpisodeSpec],
+    rng: np.random.Generator,
+    camera: str = EGO_VIEW,
 ) -> Iterator[Snapshots]:
-    """Yield images of all worlds of a batch forever: poses along the targets' paths and the hand's ways to them.
+    """Yield images of all worlds of a batch forever: poses along the targets' paths and the hand's
+    ways to them.
 
     Args:
         batch: of a recipe with the hand, the renderer and the image size.
@@ -126,19 +147,25 @@ def snapshots(
             poses = np.stack([_pose(spec, rng) for spec in chosen])  # (N, 2, 21)
             turns = _turns(batch.size, rng)
             images = []
-            for hand, target in ((poses[:, at, :HAND_DOF], poses[:, at, HAND_DOF:]) for at in (NOW, BEFORE)):
+            for hand, target in (
+                (poses[:, at, :HAND_DOF], poses[:, at, HAND_DOF:]) for at in (NOW, BEFORE)
+            ):
                 batch.place(hand, np.concatenate([target, turns], axis=1))
                 images.append(batch.cameras.render(view=camera))
             palm, target = poses[:, NOW, :PALM_DOF], poses[:, NOW, HAND_DOF:]
             place = target - palm if camera == EGO_VIEW else target
-            yield Snapshots(np.concatenate(images, axis=-1), place.astype(np.float32), target - palm)
+            yield Snapshots(
+                np.concatenate(images, axis=-1), place.astype(np.float32), target - palm
+            )
 
 
 NOW, BEFORE = 0, 1
 
 
 def _pose(spec: EpisodeSpec, rng: np.random.Generator) -> np.ndarray:
-    """Draw (2, 21) hand (18) and target (3) [m, rad], home frame, at a frame of an episode and at the one before."""
+    """Draw (2, 21) hand (18) and target (3) [m, rad], home frame, at a frame of an episode and at
+    the one before.
+    """
     path = spec.target_path_w - spec.home_pos_w
     pose = _at_home(spec, path, rng) if rng.random() < HOME_SHARE else _on_its_way(spec, path, rng)
     return pose[[NOW, NOW]] if rng.random() < REPEATED_SHARE else pose
@@ -162,7 +189,12 @@ def _on_its_way(spec: EpisodeSpec, path: np.ndarray, rng: np.random.Generator) -
         speed = rng.uniform(0.0, FAST_M_S if rng.random() < FAST_SHARE else SLOW_M_S)
         step = speed * CONTROL_DT * direction / max(float(np.linalg.norm(direction)), 1e-6)
     joints, joints_before = _fingers(spec, rng)
-    return np.stack([np.concatenate([palm, joints, path[frame]]), np.concatenate([palm - step, joints_before, before])])
+    return np.stack(
+        [
+            np.concatenate([palm, joints, path[frame]]),
+            np.concatenate([palm - step, joints_before, before]),
+        ]
+    )
 
 
 def _palm(spec: EpisodeSpec, path: np.ndarray, frame: int, rng: np.random.Generator) -> np.ndarray:
@@ -183,7 +215,9 @@ def _fingers(spec: EpisodeSpec, rng: np.random.Generator) -> tuple[np.ndarray, n
     """Draw (J,) joint angles [rad] now and one frame before."""
     moving = rng.random() < FINGERS_MOVE_SHARE
     closed = rng.random() if moving or rng.random() > OPEN_SHARE else 0.0
-    before = np.clip(closed + rng.uniform(-MOST_CLOSED, MOST_OPENED), 0.0, 1.0) if moving else closed
+    before = (
+        np.clip(closed + rng.uniform(-MOST_CLOSED, MOST_OPENED), 0.0, 1.0) if moving else closed
+    )
     way = spec.reference_joints - spec.open_joints
     return spec.open_joints + closed * way, spec.open_joints + before * way
 

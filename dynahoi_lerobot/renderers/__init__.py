@@ -1,4 +1,6 @@
-"""Renderers of batched worlds, one file each; all of them agree on what is visible (see `tests/renderers`)."""
+"""Renderers of batched worlds, one file each; all of them agree on what is visible (see
+`tests/renderers`).
+"""
 
 from dynahoi_lerobot.renderers.base import DEFAULT_RENDERER, RENDERERS, Renderer
 

@@ -1,4 +1,6 @@
-"""The interface of a renderer: images, geom ids and depth of chosen worlds of a batch, from one camera."""
+"""The interface of a renderer: images, geom ids and depth of chosen worlds of a batch, from one
+camera.
+"""
 
 from abc import ABC, abstractmethod
 
@@ -14,8 +16,8 @@ DEFAULT_RENDERER = "tiles"
 class Renderer(ABC):
     """Renders one camera in the worlds of a batch whose kinematics are up to date.
 
-    A new renderer is one file with a subclass that is registered under a name; images must not depend on the other
-    worlds of the batch.
+    A new renderer is one file with a subclass that is registered under a name; images must not
+    depend on the other worlds of the batch.
 
     Attributes:
         scene: the compiled scene that all worlds share.
@@ -25,7 +27,9 @@ class Renderer(ABC):
     """
 
     def __init__(self, scene: Scene, batch: Batch, image_size: int, camera: str) -> None:
-        """Prepare to render ``batch``, of ``scene.model``, from the model's camera of that name; see the attributes."""
+        """Prepare to render ``batch``, of ``scene.model``, from the model's camera of that name;
+        see the attributes.
+        """
         self.scene, self.batch, self.image_size = scene, batch, image_size
         self.camera = scene.model.camera(camera).id
 
@@ -39,7 +43,9 @@ class Renderer(ABC):
 
     @abstractmethod
     def depth(self, ids: np.ndarray) -> np.ndarray:
-        """Return (n, H, W) float32 depth along the optical axis [m] of worlds ``ids`` (n,), 0 for a miss."""
+        """Return (n, H, W) float32 depth along the optical axis [m] of worlds ``ids`` (n,), 0 for a
+        miss.
+        """
 
 
 RENDERERS: Registry[type[Renderer]] = Registry("renderer", "dynahoi_lerobot.renderers")

@@ -1,8 +1,9 @@
-"""A ray caster made for this scene: primitive shapes, one directional light, and tiles that list their shapes.
+"""A ray caster made for this scene: primitive shapes, one directional light, and tiles that list
+their shapes.
 
-Each frame, every shape is transformed into its own frame, in which rays are cheap to intersect, and listed with the
-image tiles that its bounds overlap. A pixel then tests the shapes of its tile and no others; and for shadows those
-that lie between something its tile shows and the light.
+Each frame, every shape is transformed into its own frame, in which rays are cheap to intersect, and
+listed with the image tiles that its bounds overlap. A pixel then tests the shapes of its tile and
+no others; and for shadows those that lie between something its tile shows and the light.
 """
 
 from collections.abc import Mapping, Sequence
@@ -50,35 +51,44 @@ POSE_FIELDS = {
     "cam_xmat": wp.mat33,
     "light_xdir": wp.vec3,
 }
-"""Fields of the model and of the data that differ between worlds, with the element types of their device copies."""
+"""Fields of the model and of the data that differ between worlds, with the element types of their
+device copies."""
 
 
 @RENDERERS.register("tiles")
 class TileRenderer(Renderer):
     """Renders all worlds in one call, on the CPU without OpenGL or on CUDA, from the same source.
 
-    A directional light with soft shadows, light from the sky and from the ground, darker corners, textures that are as
-    sharp as a pixel allows, highlights, one translucent layer, and four samples for pixels on edges. Geom ids and depth
-    are those of ``flat``. The image of a world depends neither on the other worlds of the batch nor on the number of
-    threads.
+    A directional light with soft shadows, light from the sky and from the ground, darker corners,
+    textures that are as sharp as a pixel allows, highlights, one translucent layer, and four
+    samples for pixels on edges. Geom ids and depth are those of ``flat``. The image of a world
+    depends neither on the other worlds of the batch nor on the number of threads.
     """
 
     soft: ClassVar[bool] = True
 
     def __init__(self, scene: Scene, batch: Batch, image_size: int, camera: str) -> None:
-        """Compile the kernels (once per machine) and allocate device arrays, on CUDA if there is any.
+        """Compile the kernels (once per machine) and allocate device arrays, on CUDA if there is
+        any.
 
         Raises:
-            ValueError: if the scene holds shapes, textures or lights that this renderer does not know.
+            ValueError: if the scene holds shapes, textures or lights that this renderer does not
+                know.
         """
         super().__init__(scene, batch, image_size, camera)
         self._shown = np.flatnonzero(np.isin(scene.model.geom_group, SHOWN_GROUPS)).astype(np.int32)
         _check_model(scene.model, self._shown)
         device = default_device()
         threads = batch.nthread if device == "cpu" else 1
-        sources, types = world_fields(batch, APPEARANCE_FIELDS, POSE_FIELDS), APPEARANCE_FIELDS | POSE_FIELDS
+        sources, types = (
+            world_fields(batch, APPEARANCE_FIELDS, POSE_FIELDS),
+            APPEARANCE_FIELDS | POSE_FIELDS,
+        )
         with wp.ScopedDevice(device):
-            fields = {name: wp.empty(source.shape[:2], dtype=types[name]) for name, source in sources.items()}
+            fields = {
+                name: wp.empty(source.shape[:2], dtype=types[name])
+                for name, source in sources.items()
+            }
             self._mirror = Mirror(sources, fields)
             self._intrinsics = _intrinsics(scene.model, self.camera, image_size)
             self._worlds = worlds_of(fields, self._intrinsics, len(self._shown))
@@ -102,13 +112,20 @@ class TileRenderer(Renderer):
         return np.where(visible >= 0, self._shown[visible], -1)
 
     def depth(self, ids: np.ndarray) -> np.ndarray:
-        """Return (n, H, W) float32 depth along the optical axis [m] of worlds ``ids`` (n,), 0 for a miss."""
+        """Return (n, H, W) float32 depth along the optical axis [m] of worlds ``ids`` (n,), 0 for a
+        miss.
+        """
         self._trace(ids)
-        visible, depths = self._pixels(self._worlds.visible, len(ids)), self._pixels(self._worlds.depths, len(ids))
+        visible, depths = (
+            self._pixels(self._worlds.visible, len(ids)),
+            self._pixels(self._worlds.depths, len(ids)),
+        )
         return np.where(visible >= 0, depths, np.float32(0))
 
     def _record_launches(self, fields: Mapping[str, wp.array], threads: int) -> None:
-        """Record all launches, as to repeat one is much cheaper than a new one; threads need one each."""
+        """Record all launches, as to repeat one is much cheaper than a new one; threads need one
+        each.
+        """
         model, intrinsics, worlds = self.scene.model, self._intrinsics, self._worlds
         casts = ~np.isin(self._shown, [self.scene.floor_geom, *self.scene.wall_geoms])
         look = _look(self.scene, self._shown, intrinsics, soft=self.soft)
@@ -119,7 +136,10 @@ class TileRenderer(Renderer):
             wp.array(model.geom_type[self._shown], dtype=int),
             wp.array(model.mat_texid[:, mujoco.mjtTextureRole.mjTEXROLE_RGB.value], dtype=int),
             wp.array(model.mat_texrepeat, dtype=wp.vec2),
-            *(fields[name] for name in ("geom_size", "geom_rgba", "geom_matid", "geom_xpos", "geom_xmat")),
+            *(
+                fields[name]
+                for name in ("geom_size", "geom_rgba", "geom_matid", "geom_xpos", "geom_xmat")
+            ),
         ]
         room = wp.array(np.flatnonzero(~casts).astype(np.int32), dtype=int)
         self._placing = _recorded(place_shapes, [intrinsics, *geoms, worlds])
@@ -138,7 +158,9 @@ class TileRenderer(Renderer):
         self._in_bands(self._tracing, len(ids))
 
     def _in_bands(self, launches: Sequence[Any], n_worlds: int) -> None:
-        """Share the pixel rows of all images, numbered consecutively, among threads: each has a recorded launch."""
+        """Share the pixel rows of all images, numbered consecutively, among threads: each has a
+        recorded launch.
+        """
         edges = np.linspace(0, n_worlds * self.image_size, len(launches) + 1).astype(int).tolist()
         if len(launches) == 1:
             self._band(launches[0], *edges)
@@ -150,18 +172,23 @@ class TileRenderer(Renderer):
         _launch(launch, end_row - first_row, self._intrinsics.tiles_across)
 
     def _pixels(self, rows: wp.array, n_worlds: int) -> np.ndarray:
-        """(n, H, W) pixels of the first n worlds, without what the last tiles hold beyond the image."""
+        """(n, H, W) pixels of the first n worlds, without what the last tiles hold beyond the
+        image.
+        """
         pixels = rows[:n_worlds].numpy()  # (n, H, tiles across, 16)
         return pixels.reshape(n_worlds, self.image_size, -1)[..., : self.image_size]
 
 
 @RENDERERS.register("flat")
 class FlatRenderer(TileRenderer):
-    """Draws as MuJoCo's other renderers do: one sample per pixel, no shadows, sharp textures, a headlight.
+    """Draws as MuJoCo's other renderers do: one sample per pixel, no shadows, sharp textures, a
+    headlight.
 
-    It draws what ``warp`` does, an order of magnitude faster, and highlights and one translucent layer.
+    It draws what ``warp`` does, an order of magnitude faster, and highlights and one translucent
+    layer.
 
-    The reference that ties ``tiles`` to MuJoCo's renderers, and the control for what shadows and soft light are worth.
+    The reference that ties ``tiles`` to MuJoCo's renderers, and the control for what shadows and
+    soft light are worth.
     """
 
     soft: ClassVar[bool] = False
@@ -169,9 +196,14 @@ class FlatRenderer(TileRenderer):
 
 def _check_model(model: mujoco.MjModel, shown: np.ndarray) -> None:
     if unknown := set(model.geom_type[shown].tolist()) - GEOM_TYPES:
-        raise ValueError(f"the renderer 'tiles' cannot draw MuJoCo's geom types {sorted(unknown)}; use 'warp'")
+        raise ValueError(
+            f"the renderer 'tiles' cannot draw MuJoCo's geom types {sorted(unknown)}; use 'warp'"
+        )
     if model.nlight != 1 or model.light_type[0] != mujoco.mjtLightType.mjLIGHT_DIRECTIONAL.value:
-        raise ValueError(f"the renderer 'tiles' needs one directional light, the scene has {model.nlight}; use 'warp'")
+        raise ValueError(
+            f"the renderer 'tiles' needs one directional light, the scene has {model.nlight}; "
+            f"use 'warp'"
+        )
 
 
 def _recorded(kernel: Any, inputs: list[Any]) -> Any:
@@ -185,7 +217,11 @@ def _launch(recorded: Any, *dim: int) -> None:
 
 def _intrinsics(model: mujoco.MjModel, camera: int, image_size: int) -> Any:
     intrinsics = CameraIntrinsics()
-    intrinsics.camera, intrinsics.size, intrinsics.tiles_across = camera, image_size, -(-image_size // TILE)
+    intrinsics.camera, intrinsics.size, intrinsics.tiles_across = (
+        camera,
+        image_size,
+        -(-image_size // TILE),
+    )
     intrinsics.focal = 0.5 * image_size / tan(0.5 * np.radians(model.cam_fovy[camera]))
     return intrinsics
 

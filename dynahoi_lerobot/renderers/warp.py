@@ -1,4 +1,6 @@
-"""Ray casting with mujoco_warp, which supports every geom, texture and light of MuJoCo, on the CPU or on CUDA."""
+"""Ray casting with mujoco_warp, which supports every geom, texture and light of MuJoCo, on the CPU
+or on CUDA.
+"""
 
 import mujoco_warp as mjw
 import numpy as np
@@ -18,21 +20,31 @@ POSE_FIELDS = ("geom_xpos", "geom_xmat", "cam_xpos", "cam_xmat", "light_xpos", "
 
 @RENDERERS.register("warp")
 class WarpRenderer(Renderer):
-    """Copies worlds into mujoco_warp's arrays and casts one ray per pixel, with textures and without shadows.
+    """Copies worlds into mujoco_warp's arrays and casts one ray per pixel, with textures and
+    without shadows.
 
-    Worlds are packed into the first rows, so rendering a few of many costs no more than that; the image of a world does
-    not depend on its row.
+    Worlds are packed into the first rows, so rendering a few of many costs no more than that; the
+    image of a world does not depend on its row.
     """
 
     def __init__(self, scene: Scene, batch: Batch, image_size: int, camera: str) -> None:
-        """Compile the kernels (once per machine) and allocate device arrays, on CUDA if there is any."""
+        """Compile the kernels (once per machine) and allocate device arrays, on CUDA if there is
+        any.
+        """
         super().__init__(scene, batch, image_size, camera)
         self._device = default_device()
         with wp.ScopedDevice(self._device):
-            self._model, self._data = mjw.put_model(scene.model), mjw.make_data(scene.model, nworld=batch.nsim)
+            self._model, self._data = (
+                mjw.put_model(scene.model),
+                mjw.make_data(scene.model, nworld=batch.nsim),
+            )
             for name in APPEARANCE_FIELDS:
                 shared = getattr(self._model, name)
-                setattr(self._model, name, wp.empty(dtype=shared.dtype, shape=(batch.nsim, *shared.shape[1:])))
+                setattr(
+                    self._model,
+                    name,
+                    wp.empty(dtype=shared.dtype, shape=(batch.nsim, *shared.shape[1:])),
+                )
             self._context = mjw.create_render_context(
                 scene.model,
                 nworld=batch.nsim,
@@ -51,7 +63,9 @@ class WarpRenderer(Renderer):
             )
         sources = world_fields(batch, APPEARANCE_FIELDS, POSE_FIELDS)
         targets = {name: getattr(self._model, name) for name in APPEARANCE_FIELDS}
-        self._mirror = Mirror(sources, targets | {name: getattr(self._data, name) for name in POSE_FIELDS})
+        self._mirror = Mirror(
+            sources, targets | {name: getattr(self._data, name) for name in POSE_FIELDS}
+        )
 
     def rgb(self, ids: np.ndarray) -> np.ndarray:
         """Return (n, H, W, 3) uint8 RGB of worlds ``ids`` (n,)."""
@@ -63,7 +77,9 @@ class WarpRenderer(Renderer):
         return self._rendered(self._context.seg_data, ids)[..., 0]
 
     def depth(self, ids: np.ndarray) -> np.ndarray:
-        """Return (n, H, W) float32 depth along the optical axis [m] of worlds ``ids`` (n,), 0 for a miss."""
+        """Return (n, H, W) float32 depth along the optical axis [m] of worlds ``ids`` (n,), 0 for a
+        miss.
+        """
         return self._rendered(self._context.depth_data, ids)
 
     def _rendered(self, output: wp.array, ids: np.ndarray) -> np.ndarray:

@@ -21,7 +21,9 @@ GENERIC_FOLDERS = {"checkpoints", "last", "pretrained_model", "training"}
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """One evaluation of a report: its results, a label unique within the report, and a colour in hexadecimal RGB."""
+    """One evaluation of a report: its results, a label unique within the report, and a colour in
+    hexadecimal RGB.
+    """
 
     results: Results
     label: str
@@ -33,14 +35,19 @@ def read_entries(folders: Sequence[Path], *, allow_version_mismatch: bool = Fals
 
     Raises:
         ReadError: if a folder is missing or damaged.
-        ValueError: if they are of different salts, or, unless ``allow_version_mismatch``, of different versions of the
-            benchmark.
+        ValueError: if they are of different salts, or, unless ``allow_version_mismatch``, of
+            different versions of the benchmark.
     """
-    results = [read_results(folder) for folder in dict.fromkeys(Path(folder).resolve() for folder in folders)]
+    results = [
+        read_results(folder)
+        for folder in dict.fromkeys(Path(folder).resolve() for folder in folders)
+    ]
     refuse_mixed_streams((result.folder, result.info.split) for result in results)
     if not allow_version_mismatch:
         found = [(result.folder, result.info.benchmark) for result in results]
-        refuse_to_mix("benchmark", found, "evaluate both under one version, or add --allow-version-mismatch")
+        refuse_to_mix(
+            "benchmark", found, "evaluate both under one version, or add --allow-version-mismatch"
+        )
     results.sort(key=lambda result: -(result.summary["S_loc"].value or 0.0))
     labels = unique_labels(results)
     return [
@@ -50,7 +57,9 @@ def read_entries(folders: Sequence[Path], *, allow_version_mismatch: bool = Fals
 
 
 def unique_labels(results: Sequence[Results]) -> list[str]:
-    """Return a unique label per result: policy and unusual rules, then folder and number if needed."""
+    """Return a unique label per result: policy and unusual rules, then folder and number if
+    needed.
+    """
     labels = [clip(_label(result)) for result in results]
     labels = [
         clip(f"{label} ({result.folder.name})") if labels.count(label) > 1 else label
@@ -71,7 +80,9 @@ def _label(result: Results) -> str:
 
 
 def short_name(policy: str) -> str:
-    """Return the distinctive part of a policy's name: for a path to a checkpoint, the name of the training run."""
+    """Return the distinctive part of a policy's name: for a path to a checkpoint, the name of the
+    training run.
+    """
     parts = [part for part in re.split(r"[\\/]", policy) if part.strip()]
     distinctive = [part for part in parts if part not in GENERIC_FOLDERS and not part.isdigit()]
     return clip((distinctive or parts or ["?"])[-1])

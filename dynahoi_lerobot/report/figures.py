@@ -31,7 +31,9 @@ WIDTH_IN = 12.0
 PANELS_PER_ROW = 5
 INK = "#0a0b0c"
 """Placeholder for the text colour while drawing; in the SVG the page's text colour replaces it."""
-INK_CSS = "<style>:root{--ink:#1f2328}@media(prefers-color-scheme:dark){:root{--ink:#e6e8eb}}</style>"
+INK_CSS = (
+    "<style>:root{--ink:#1f2328}@media(prefers-color-scheme:dark){:root{--ink:#e6e8eb}}</style>"
+)
 STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "dynahoi",
@@ -41,7 +43,9 @@ STYLE: dict[Any, Any] = {
     **dict.fromkeys(("axes.spines.top", "axes.spines.right", "legend.frameon"), False),
     **dict.fromkeys(("axes.axisbelow", "axes.grid"), True),
     **dict.fromkeys(("figure.facecolor", "axes.facecolor"), "none"),
-    **dict.fromkeys(("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), INK),
+    **dict.fromkeys(
+        ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), INK
+    ),
     "grid.color": INK,
     "grid.alpha": 0.15,
 }
@@ -57,7 +61,8 @@ class ReportFigure:
     Attributes:
         name: the anchor on the page.
         title: the heading on the page.
-        draw: returns the drawing, or None if there is nothing to draw; its docstring is the caption.
+        draw: returns the drawing, or None if there is nothing to draw; its docstring is the
+            caption.
     """
 
     name: str
@@ -70,10 +75,11 @@ class ReportFigure:
         return " ".join(inspect.cleandoc(self.draw.__doc__ or "").replace("``", "").split())
 
     def render(self, entries: Sequence[Entry]) -> str | None:
-        """Return the drawing as the ``data:`` address of an SVG in the report's style; None if there is none.
+        """Return the drawing as the ``data:`` address of an SVG in the report's style; None if
+        there is none.
 
-        It follows the page's light or dark scheme. As an image it is inert: nothing written in it can run or load
-        anything.
+        It follows the page's light or dark scheme. As an image it is inert: nothing written in it
+        can run or load anything.
         """
         import matplotlib.style
 
@@ -82,9 +88,13 @@ class ReportFigure:
             drawing = self.draw(entries)
             if drawing is None:
                 return None
-            metadata = dict.fromkeys(("Creator", "Date", "Format", "Type"))  # nothing that changes between runs
+            metadata = dict.fromkeys(
+                ("Creator", "Date", "Format", "Type")
+            )  # nothing that changes between runs
             drawing.savefig(buffer, format="svg", metadata=metadata)
-        svg = re.sub("<svg[^>]*>", rf"\g<0>{INK_CSS}", buffer.getvalue().replace(INK, "var(--ink)"), count=1)
+        svg = re.sub(
+            "<svg[^>]*>", rf"\g<0>{INK_CSS}", buffer.getvalue().replace(INK, "var(--ink)"), count=1
+        )
         return data_url("image/svg+xml", svg.encode())
 
 
@@ -102,10 +112,12 @@ def figure(name: str, title: str) -> Callable[[Draw], Draw]:
     return decorate
 
 
-# -- what several figures share ---------------------------------------------------------------------------------------
+# -- what several figures share --------------------------------------------------------------------
 
 
-def subplots(rows: int, columns: int, height_in: float, **options: Any) -> tuple[Figure, list[Axes]]:
+def subplots(
+    rows: int, columns: int, height_in: float, **options: Any
+) -> tuple[Figure, list[Axes]]:
     """Return a figure of the page's width and its axes, row by row."""
     from matplotlib.figure import Figure
 
@@ -113,11 +125,17 @@ def subplots(rows: int, columns: int, height_in: float, **options: Any) -> tuple
     return drawing, list(drawing.subplots(rows, columns, squeeze=False, **options).ravel())
 
 
-def metric_panels(entries: Sequence[Entry], row_height_in: float, **options: Any) -> tuple[Figure, dict[str, Axes]]:
-    """Return a figure with a titled panel for each of the main metrics, and the panels by metric."""
+def metric_panels(
+    entries: Sequence[Entry], row_height_in: float, **options: Any
+) -> tuple[Figure, dict[str, Axes]]:
+    """Return a figure with a titled panel for each of the main metrics, and the panels by
+    metric.
+    """
     names = columns_for([entry.results for entry in entries])
     rows = -(-len(names) // PANELS_PER_ROW)
-    drawing, axes = subplots(rows, min(PANELS_PER_ROW, len(names)), row_height_in * rows + 0.4, **options)
+    drawing, axes = subplots(
+        rows, min(PANELS_PER_ROW, len(names)), row_height_in * rows + 0.4, **options
+    )
     for unused in axes[len(names) :]:
         unused.remove()
     panels = dict(zip(names, axes, strict=False))
@@ -135,7 +153,9 @@ def legend(drawing: Figure, entries: Sequence[Entry]) -> None:
 
 
 def error_bars(estimates: Sequence[Estimate | None]) -> tuple[np.ndarray, np.ndarray]:
-    """Return (K,) values and (2, K) lengths of their error bars, fractions in per cent; nan where there is none."""
+    """Return (K,) values and (2, K) lengths of their error bars, fractions in per cent; nan where
+    there is none.
+    """
     rows = [(e.value, e.low, e.high) if e else (None,) * 3 for e in estimates]
     scales = np.array([100 if e and e.unit == "fraction" else 1 for e in estimates])
     value, low, high = np.array(rows, np.float64).reshape(-1, 3).T * scales
@@ -146,12 +166,16 @@ def points(panel: Axes, x: np.ndarray, estimates: Sequence[Estimate | None], col
     """Draw K estimates with their 95 % intervals at (K,) places ``x``, joined by a line."""
     values, errors = error_bars(estimates)
     line = "-" if len(x) > 1 else "none"
-    panel.errorbar(x, values, errors, fmt="o", ms=4, lw=1.2, linestyle=line, capsize=2, color=colour)
+    panel.errorbar(
+        x, values, errors, fmt="o", ms=4, lw=1.2, linestyle=line, capsize=2, color=colour
+    )
 
 
 def stratified(entries: Sequence[Entry], stratum: str) -> Figure | None:
     """Draw every metric over the labels of ``stratum``; None with fewer than two labels."""
-    labels = STRATA[stratum].arrange({row[stratum] for entry in entries for row in entry.results.rows})
+    labels = STRATA[stratum].arrange(
+        {row[stratum] for entry in entries for row in entry.results.rows}
+    )
     if len(labels) < 2:
         return None
     drawing, panels = metric_panels(entries, 2.0)
@@ -167,7 +191,7 @@ def stratified(entries: Sequence[Entry], stratum: str) -> Figure | None:
     return drawing
 
 
-# -- success ----------------------------------------------------------------------------------------------------------
+# -- success ---------------------------------------------------------------------------------------
 
 
 @figure("main", "Main metrics")
@@ -202,8 +226,8 @@ STAGES = {
 def failure_stages(entries: Sequence[Entry]) -> Figure:
     """The share of episodes that ended in each stage.
 
-    Under the capture rule attach: missed, localized, captured. Under contact: missed, touched, enclosed,
-    slipped, held.
+    Under the capture rule attach: missed, localized, captured. Under contact: missed, touched,
+    enclosed, slipped, held.
     """
     drawing, (panel,) = subplots(1, 1, 0.9 + 0.32 * len(entries))
     counts = [Counter(row["stage"] for row in entry.results.rows) for entry in entries]
@@ -211,7 +235,14 @@ def failure_stages(entries: Sequence[Entry]) -> Figure:
     for stage in [*STAGES, *sorted({stage for count in counts for stage in count} - set(STAGES))]:
         width = np.array([100 * count[stage] / count.total() for count in counts])
         if width.any():
-            bars = panel.barh(labels, width, left=left, height=0.65, color=STAGES.get(stage, "#808080"), label=stage)
+            bars = panel.barh(
+                labels,
+                width,
+                left=left,
+                height=0.65,
+                color=STAGES.get(stage, "#808080"),
+                label=stage,
+            )
             texts = [f"{share:.0f}" if share >= 4 else "" for share in width]
             panel.bar_label(bars, texts, label_type="center", color="white")
             left += width
@@ -230,7 +261,9 @@ def per_kind(entries: Sequence[Entry]) -> Figure | None:
     """
     pairs = {(row["category"], row["kind"]) for entry in entries for row in entry.results.rows}
     categories = STRATA["category"].arrange({category for category, _ in pairs})
-    groups = [sorted(kind for category, kind in pairs if category == wanted) for wanted in categories]
+    groups = [
+        sorted(kind for category, kind in pairs if category == wanted) for wanted in categories
+    ]
     kinds = [kind for group in groups for kind in group]
     if len(kinds) < 2:
         return None
@@ -240,7 +273,10 @@ def per_kind(entries: Sequence[Entry]) -> Figure | None:
     drawing, axes = subplots(len(maps), 1, sum(heights) + 1.7, sharex=True, height_ratios=heights)
     for panel, (name, shown) in zip(axes, maps.items(), strict=True):
         found = [entry.results.by("kind") for entry in shown]
-        cells = [[by_kind[kind][name] if kind in by_kind else None for kind in kinds] for by_kind in found]
+        cells = [
+            [by_kind[kind][name] if kind in by_kind else None for kind in kinds]
+            for by_kind in found
+        ]
         _heat_map(panel, np.stack([error_bars(row)[0] for row in cells]), name)
         panel.set_yticks(range(len(shown)), [entry.label for entry in shown])
         panel.set_xticks(range(len(kinds)), kinds, rotation=45, ha="right", rotation_mode="anchor")
@@ -250,22 +286,27 @@ def per_kind(entries: Sequence[Entry]) -> Figure | None:
 
 
 def _heat_map(panel: Axes, grid: np.ndarray, name: str) -> None:
-    """Draw (evaluations, kinds) values [%] as coloured cells with their numbers; nan leaves a cell empty."""
+    """Draw (evaluations, kinds) values [%] as coloured cells with their numbers; nan leaves a cell
+    empty.
+    """
     panel.imshow(grid, cmap="viridis", vmin=0, vmax=100, aspect="auto")
     for (row, column), value in np.ndenumerate(grid):
         if not np.isnan(value):
             colour = "black" if value > 60 else "white"
-            panel.text(column, row, f"{value:.0f}", ha="center", va="center", color=colour, fontsize=8)
+            panel.text(
+                column, row, f"{value:.0f}", ha="center", va="center", color=colour, fontsize=8
+            )
     panel.set_title(f"{name} [%]", loc="left")
     panel.grid(visible=False)
 
 
 @figure("periodicity", "Success by periodicity")
 def by_periodicity(entries: Sequence[Entry]) -> Figure | None:
-    """The metrics by periodicity (Figures "Periodicity-stratified performance" and "All periodicity-stratified").
+    """The metrics by periodicity (Figures "Periodicity-stratified performance" and "All
+    periodicity-stratified").
 
-    Circular arcs are circular; harmonic motions and pendulums are periodic; lines, projectiles, rolling and
-    impacts are linear; hybrid motions mix these and stand alone.
+    Circular arcs are circular; harmonic motions and pendulums are periodic; lines, projectiles,
+    rolling and impacts are linear; hybrid motions mix these and stand alone.
     """
     return stratified(entries, "periodicity")
 
@@ -290,7 +331,9 @@ def by_travel(entries: Sequence[Entry]) -> Figure | None:
 
 @figure("time-to-catch", "Time to the catch")
 def time_to_catch(entries: Sequence[Entry]) -> Figure:
-    """The share of episodes in which the target has been localised by a time after the control start [s]."""
+    """The share of episodes in which the target has been localised by a time after the control
+    start [s].
+    """
     drawing, (panel,) = subplots(1, 1, 3.0)
     for entry in entries:
         rows = entry.results.rows
@@ -298,7 +341,9 @@ def time_to_catch(entries: Sequence[Entry]) -> Figure:
         waits = [(row["first_localized"] - row["window_frames"]) * CONTROL_DT for row in hits]
         share = 100 * np.arange(len(waits) + 1) / len(rows)
         longest = max(row["length_frames"] for row in rows) * CONTROL_DT
-        panel.step([0, *sorted(waits), longest], [*share, share[-1]], where="post", color=entry.colour)
+        panel.step(
+            [0, *sorted(waits), longest], [*share, share[-1]], where="post", color=entry.colour
+        )
     panel.set(xlabel="time since the control start [s]", ylabel="localised [%]", ylim=(0, 100))
     legend(drawing, entries)
     return drawing
@@ -308,27 +353,33 @@ def time_to_catch(entries: Sequence[Entry]) -> Figure:
 def per_frame_grasp(entries: Sequence[Entry]) -> Figure:
     """The share of control frames in which at least 3, 4 or 5 fingers are at the reference grasp.
 
-    Figure "Grasp success rate under per-frame evaluation". The hand should be open as it approaches, so
-    100 % is not the aim.
+    Figure "Grasp success rate under per-frame evaluation". The hand should be open as it
+    approaches, so 100 % is not the aim.
     """
     drawing, (panel,) = subplots(1, 1, 3.0)
     width = 0.8 / len(entries)
     for place, entry in enumerate(entries):
-        values, errors = error_bars([entry.results.summary[f"grasp_{setting}"] for setting in FINGERS_AT_LEAST])
+        values, errors = error_bars(
+            [entry.results.summary[f"grasp_{setting}"] for setting in FINGERS_AT_LEAST]
+        )
         x = np.arange(len(values)) + (place - (len(entries) - 1) / 2) * width
         panel.bar(x, values, 0.9 * width, yerr=errors, color=entry.colour, **BARS)
-    panel.set_xticks(range(3), [f"{setting}\n≥ {n} fingers" for setting, n in FINGERS_AT_LEAST.items()])
+    panel.set_xticks(
+        range(3), [f"{setting}\n≥ {n} fingers" for setting, n in FINGERS_AT_LEAST.items()]
+    )
     panel.set_ylabel("frames [%]")
     panel.grid(visible=False, axis="x")
     legend(drawing, entries)
     return drawing
 
 
-# -- metrics by latency -----------------------------------------------------------------------------------------------
+# -- metrics by latency ----------------------------------------------------------------------------
 
 
 def latency_ms(entry: Entry) -> float | None:
-    """Return the declared latency of an evaluation [ms]; None if it was measured, or its label does not state it."""
+    """Return the declared latency of an evaluation [ms]; None if it was measured, or its label does
+    not state it.
+    """
     label = entry.results.info.extra.get("inference")
     if not label:
         return 0.0
@@ -340,13 +391,16 @@ def latency_ms(entry: Entry) -> float | None:
 def latency(entries: Sequence[Entry]) -> Figure | None:
     """The metrics by inference latency, one line for each policy under each set of rules.
 
-    Drawn from evaluations under ``--inference async`` or ``rtc`` with a declared latency; 0 where the world waits.
+    Drawn from evaluations under ``--inference async`` or ``rtc`` with a declared latency; 0 where
+    the world waits.
     """
     known = {entry.label: ms for entry in entries if (ms := latency_ms(entry)) is not None}
     if len(set(known.values())) < 2:
         return None
     lines: dict[str, list[Entry]] = {}
-    for entry in sorted((entry for entry in entries if entry.label in known), key=lambda entry: known[entry.label]):
+    for entry in sorted(
+        (entry for entry in entries if entry.label in known), key=lambda entry: known[entry.label]
+    ):
         info, control_class = entry.results.info, entry.results.rules["control_class"]
         rules = (short_name(info.policy), info.split, info.capture, control_class)
         lines.setdefault(", ".join(rules), []).append(entry)
@@ -364,7 +418,7 @@ def latency(entries: Sequence[Entry]) -> Figure | None:
     return drawing
 
 
-# -- the episodes -----------------------------------------------------------------------------------------------------
+# -- the episodes ----------------------------------------------------------------------------------
 
 PAPER_DURATION = {"20-40": 20.2, "40-60": 36.1, "60-80": 19.5, "80-120": 13.9, ">120": 10.1}
 PAPER_TRAVEL = {"0-0.5": 20.1, "0.5-2": 47.7, "2-4": 16.4, ">4": 5.8}
@@ -375,7 +429,8 @@ PAPER_TRAVEL = {"0-0.5": 20.1, "0.5-2": 47.7, "2-4": 16.4, ">4": 5.8}
 def data_statistics(entries: Sequence[Entry]) -> Figure:
     """The durations and travels of the distinct episodes of all evaluations.
 
-    Figure "Data statistics" c and d; a diamond marks the share that the paper's text reports for its own data.
+    Figure "Data statistics" c and d; a diamond marks the share that the paper's text reports for
+    its own data.
     """
     rows = distinct_episodes(entries)
     drawing, (durations, travels) = subplots(1, 2, 3.0)
@@ -387,10 +442,14 @@ def data_statistics(entries: Sequence[Entry]) -> Figure:
 
 
 def _share_bars(panel: Axes, rows: Sequence[Row], stratum: str, paper: dict[str, float]) -> None:
-    """Draw the share of episodes with each label of ``stratum`` [%], and ``paper``'s shares [%] as diamonds."""
+    """Draw the share of episodes with each label of ``stratum`` [%], and ``paper``'s shares [%] as
+    diamonds.
+    """
     counts = Counter(row[stratum] for row in rows)
     labels = [label for label in STRATA[stratum].order if counts[label] or label in paper]
-    panel.bar(labels, [100 * counts[label] / len(rows) for label in labels], color=COLOURS[0], width=0.7)
+    panel.bar(
+        labels, [100 * counts[label] / len(rows) for label in labels], color=COLOURS[0], width=0.7
+    )
     panel.plot(list(paper), list(paper.values()), "D", color=COLOURS[5], ms=5, label="paper")
     panel.grid(visible=False, axis="x")
     panel.legend()
@@ -400,7 +459,9 @@ HISTOGRAM_BINS = 41
 
 
 def command_deltas(results: Results) -> np.ndarray:
-    """Return (K, 18) changes between successive commands of the control phase: palm [m], joints [rad]."""
+    """Return (K, 18) changes between successive commands of the control phase: palm [m], joints
+    [rad].
+    """
     changes = [
         np.diff(actions[row["window_frames"] :], axis=0)
         for row, actions in zip(results.rows, results.actions, strict=True)
@@ -409,8 +470,12 @@ def command_deltas(results: Results) -> np.ndarray:
 
 
 def overlay(panel: Axes, samples: Sequence[np.ndarray], entries: Sequence[Entry]) -> None:
-    """Draw a histogram of every entry's (K,) samples, in shares of its frames [%], over bins common to all entries."""
-    reach = max((float(np.abs(sample).max()) for sample in samples if sample.size), default=0.0) or 1.0
+    """Draw a histogram of every entry's (K,) samples, in shares of its frames [%], over bins common
+    to all entries.
+    """
+    reach = (
+        max((float(np.abs(sample).max()) for sample in samples if sample.size), default=0.0) or 1.0
+    )
     edges = np.linspace(-reach, reach, HISTOGRAM_BINS + 1)
     for sample, entry in zip(samples, entries, strict=True):
         share = 100 * np.histogram(sample, edges)[0] / max(1, sample.size)
@@ -422,12 +487,15 @@ def overlay(panel: Axes, samples: Sequence[np.ndarray], entries: Sequence[Entry]
 
 @figure("joint-deltas", "Joint rotations")
 def joint_deltas(entries: Sequence[Entry]) -> Figure:
-    """Frame-to-frame change of the 15 commanded joint angles [deg], control phase, share of frames [%].
+    """Frame-to-frame change of the 15 commanded joint angles [deg], control phase, share of frames
+    [%].
 
     Figure "Distribution of 15-DoF joint rotation deltas".
     """
     drawing, axes = subplots(3, 5, 5.4, sharex=True, sharey=True)
-    deltas = [np.rad2deg(command_deltas(entry.results)[:, PALM_DOF:]) for entry in entries]  # (K, 15) [deg]
+    deltas = [
+        np.rad2deg(command_deltas(entry.results)[:, PALM_DOF:]) for entry in entries
+    ]  # (K, 15) [deg]
     for joint, name in enumerate(JOINT_NAMES):
         finger, part = divmod(joint, 3)
         panel = axes[5 * part + finger]
@@ -441,12 +509,15 @@ def joint_deltas(entries: Sequence[Entry]) -> Figure:
 
 @figure("palm-displacements", "Palm displacements")
 def palm_displacements(entries: Sequence[Entry]) -> Figure:
-    """Frame-to-frame change of the commanded palm position [mm] along x, y and z, control phase, share of frames [%].
+    """Frame-to-frame change of the commanded palm position [mm] along x, y and z, control phase,
+    share of frames [%].
 
     Figure "Distribution of 3D Cartesian displacements".
     """
     drawing, axes = subplots(1, 3, 2.6, sharey=True)
-    deltas = [1000 * command_deltas(entry.results)[:, :PALM_DOF] for entry in entries]  # (K, 3) [mm]
+    deltas = [
+        1000 * command_deltas(entry.results)[:, :PALM_DOF] for entry in entries
+    ]  # (K, 3) [mm]
     for axis, panel in enumerate(axes):
         overlay(panel, [values[:, axis] for values in deltas], entries)
         panel.set_xlabel(f"change along {'xyz'[axis]} [mm]")

@@ -1,4 +1,6 @@
-"""``dynahoi report`` and ``render_report``: one self-contained HTML page from any number of result folders."""
+"""``dynahoi report`` and ``render_report``: one self-contained HTML page from any number of result
+folders.
+"""
 
 from collections.abc import Collection, Sequence
 from contextlib import suppress
@@ -21,7 +23,10 @@ from dynahoi_lerobot.report.entries import Entry, distinct_episodes, read_entrie
 FILE_NAME = "report.html"
 
 COMPARED = {
-    **{name: f"{table.heading(name)}: row minus column." for name in ("S_hold", "S_loc", "S_joint", "E_loc")},
+    **{
+        name: f"{table.heading(name)}: row minus column."
+        for name in ("S_hold", "S_loc", "S_joint", "E_loc")
+    },
     COMMANDS: "Mean distance of the palm positions that they commanded in the same frames [cm].",
 }
 """What paired evaluations are compared by, with the captions; metrics without pairs are omitted."""
@@ -39,7 +44,9 @@ class Options:
     folders: list[Path] = argument("result folders of `dynahoi evaluate`", nargs="+")
     allow_version_mismatch: bool = option(False, "accept results of different benchmark versions")
     across: list[str] = option(
-        list, "also pair evaluations that differ in this condition; may be repeated", choices=CROSSABLE
+        list,
+        "also pair evaluations that differ in this condition; may be repeated",
+        choices=CROSSABLE,
     )
     out: Path = option(Path("report.html"), "output file")
 
@@ -62,7 +69,8 @@ def run(options: Options) -> int:
 
 def _difference(a: Entry, b: Entry, across: list[str]) -> str:
     loc, apart = (
-        compare(a.results, b.results, name, across=across, allow_version_mismatch=True) for name in ("S_loc", COMMANDS)
+        compare(a.results, b.results, name, across=across, allow_version_mismatch=True)
+        for name in ("S_loc", COMMANDS)
     )
     if loc is None or apart is None:
         return f"{a.label} and {b.label} share no episode"
@@ -72,7 +80,11 @@ def _difference(a: Entry, b: Entry, across: list[str]) -> str:
 
 
 def render_report(
-    folders: Sequence[Path], out: Path, *, across: Collection[str] = (), allow_version_mismatch: bool = False
+    folders: Sequence[Path],
+    out: Path,
+    *,
+    across: Collection[str] = (),
+    allow_version_mismatch: bool = False,
 ) -> Path:
     """Write the report of ``folders`` as one self-contained HTML page.
 
@@ -87,7 +99,8 @@ def render_report(
 
     Raises:
         ReadError: if a folder is missing or damaged.
-        ValueError: if no folder is given, or for different versions of the benchmark, unless that is allowed.
+        ValueError: if no folder is given, or for different versions of the benchmark, unless that
+            is allowed.
     """
     if not folders:
         raise ValueError("a report needs at least one result folder, got none")
@@ -100,7 +113,9 @@ def write_page(entries: Sequence[Entry], out: Path, across: Collection[str] = ()
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     loader = FileSystemLoader(Path(__file__).with_name("templates"))
-    environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    environment = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
     html = environment.get_template("report.html.j2").render(**page_content(entries, across))
     page = Path(out) / FILE_NAME if Path(out).is_dir() else Path(out)
     write_atomically({page: lambda path: path.write_text(html, encoding="utf-8")})
@@ -128,26 +143,46 @@ def page_content(entries: Sequence[Entry], across: Collection[str] = ()) -> dict
 
 
 def glossary() -> Table:
-    """Return the definition of every registered metric: unit, direction, condition, formula and source."""
+    """Return the definition of every registered metric: unit, direction, condition, formula and
+    source.
+    """
     arrows = {"higher": "↑ higher", "lower": "↓ lower"}
     rows = tuple(
-        tuple(map(Cell, (name, metric.unit, arrows[metric.direction], metric.condition or "all", metric.doc)))
+        tuple(
+            map(
+                Cell,
+                (
+                    name,
+                    metric.unit,
+                    arrows[metric.direction],
+                    metric.condition or "all",
+                    metric.doc,
+                ),
+            )
+        )
         for name, metric in METRICS.items()
     )
-    return Table("Definitions of all metrics.", ("metric", "unit", "better", "episodes", "definition"), rows)
+    return Table(
+        "Definitions of all metrics.", ("metric", "unit", "better", "episodes", "definition"), rows
+    )
 
 
 def comparison_tables(entries: Sequence[Entry], across: Collection[str] = ()) -> list[Table]:
     """Return a matrix for each of ``COMPARED`` on the episodes that row and column both played.
 
-    Only evaluations under equal conditions are paired, except for those that are compared, ``across``.
+    Only evaluations under equal conditions are paired, except for those that are compared,
+    ``across``.
     """
     tables = []
     for name, caption in COMPARED.items():
         cells = [[_compared(row, column, name, across) for column in entries] for row in entries]
         if any(cell.key is not None for line in cells for cell in line):
-            rows = tuple((Cell(entry.label), *line) for entry, line in zip(entries, cells, strict=True))
-            tables.append(Table(caption, ("row, column", *(entry.label for entry in entries)), rows))
+            rows = tuple(
+                (Cell(entry.label), *line) for entry, line in zip(entries, cells, strict=True)
+            )
+            tables.append(
+                Table(caption, ("row, column", *(entry.label for entry in entries)), rows)
+            )
     return tables
 
 
@@ -162,12 +197,16 @@ def _compared(row: Entry, column: Entry, name: str, across: Collection[str]) -> 
         return Cell(cell.text, f"{cell.detail} n = {result.n}", cell.key)
     p_value = "p < 0.001" if result.p_value < 0.001 else f"p = {result.p_value:.3f}"
     better = (result.value > 0) == (METRICS[name].direction == "higher")
-    mark = ("better" if better else "worse") if result.p_value < SIGNIFICANT and result.value else ""
+    mark = (
+        ("better" if better else "worse") if result.p_value < SIGNIFICANT and result.value else ""
+    )
     return Cell(cell.text, f"{cell.detail} {p_value}, n = {result.n}", cell.key, mark)
 
 
 def clips_of(folder: Path) -> tuple[list[tuple[str, str]], int]:
-    """Return the names of a folder's first GIFs with their ``data:`` addresses, and the number of those left out."""
+    """Return the names of a folder's first GIFs with their ``data:`` addresses, and the number of
+    those left out.
+    """
     clips = []
     for file in sorted(folder.glob("*.gif")):
         with suppress(ReadError):  # a link could embed any file

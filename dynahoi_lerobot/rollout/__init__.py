@@ -1,1 +1,3 @@
-"""The loop of observing, acting and recording that generation, evaluation and the environments share."""
+"""The loop of observing, acting and recording that generation, evaluation and the environments
+share.
+"""

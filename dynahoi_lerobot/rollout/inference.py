@@ -1,10 +1,12 @@
-"""Inference that takes time: one at a time, while the world moves on and the old chunk of actions is executed.
+"""Inference that takes time: one at a time, while the world moves on and the old chunk of actions
+is executed.
 
-`dynahoi evaluate` asks an agent for whole chunks: `RealTimeAgent`. LeRobot's evaluation loop asks a policy for one
-action a call: `StepwiseInference`. Both follow one timeline. An inference begins with the observation of frame t and
-its chunk, whose first action is for frame t, is ready d frames later: what is past is skipped. Meanwhile the old chunk
-continues. The next inference begins when the last has ended. Until the first chunk is ready, a hand stays where it is;
-after the last action of a chunk, where that led.
+`dynahoi evaluate` asks an agent for whole chunks: `RealTimeAgent`. LeRobot's evaluation loop asks a
+policy for one action a call: `StepwiseInference`. Both follow one timeline. An inference begins
+with the observation of frame t and its chunk, whose first action is for frame t, is ready d frames
+later: what is past is skipped. Meanwhile the old chunk continues. The next inference begins when
+the last has ended. Until the first chunk is ready, a hand stays where it is; after the last action
+of a chunk, where that led.
 """
 
 import math
@@ -19,8 +21,10 @@ from dynahoi_lerobot.core.conventions import CONTROL_DT
 SYNC, ASYNC, RTC = "sync", "async", "rtc"
 INFERENCE_MODES = {
     SYNC: "the simulation waits for the policy",
-    ASYNC: "one inference at a time, while the old chunk continues; past actions of the new chunk are skipped",
-    RTC: "as async, with the new chunk conditioned on actions already committed (real-time chunking)",
+    ASYNC: "one inference at a time, while the old chunk continues; past actions of the new "
+    "chunk are skipped",
+    RTC: "as async, with the new chunk conditioned on actions already committed (real-time "
+    "chunking)",
 }
 MAX_LATENCY_MS = 60_000.0
 ROUNDING = 1e-9
@@ -33,8 +37,8 @@ class Inference:
 
     Attributes:
         mode: a key of ``INFERENCE_MODES``.
-        latency_ms: time from an observation to the chunk that answers it [ms]; None is what each inference takes on
-            this machine.
+        latency_ms: time from an observation to the chunk that answers it [ms]; None is what each
+            inference takes on this machine.
 
     Raises:
         ValueError: if the mode is unknown, the latency out of range, or ``sync`` is given one.
@@ -45,12 +49,20 @@ class Inference:
 
     def __post_init__(self) -> None:
         if self.mode not in INFERENCE_MODES:
-            raise ValueError(f"there is no inference mode {self.mode!r}; known are {', '.join(INFERENCE_MODES)}")
+            raise ValueError(
+                f"there is no inference mode {self.mode!r}; known are {', '.join(INFERENCE_MODES)}"
+            )
         if self.latency_ms is not None and not 0 <= self.latency_ms <= MAX_LATENCY_MS:
-            raise ValueError(f"the inference latency is {self.latency_ms} ms; it must be from 0 to {MAX_LATENCY_MS:g}")
+            raise ValueError(
+                f"the inference latency is {self.latency_ms} ms; it must be from 0 to "
+                f"{MAX_LATENCY_MS:g}"
+            )
         if self.mode == SYNC and self.latency_ms != 0:
             told = "measured" if self.latency_ms is None else f"{self.latency_ms} ms"
-            raise ValueError(f"the inference latency is {told}, but with mode sync the world waits; use async or rtc")
+            raise ValueError(
+                f"the inference latency is {told}, but with mode sync the world waits; use async "
+                f"or rtc"
+            )
 
     @property
     def label(self) -> str:
@@ -62,7 +74,9 @@ class Inference:
 
 
 def frames_of(seconds: float) -> int:
-    """Return the control steps [frames] until something that takes so long [s] is there: 150 ms are three."""
+    """Return the control steps [frames] until something that takes so long [s] is there: 150 ms are
+    three.
+    """
     return max(0, math.ceil(seconds / CONTROL_DT - ROUNDING)) if math.isfinite(seconds) else 0
 
 
@@ -96,10 +110,19 @@ class RealTimeAgent(Agent):
         """
         if inference.mode == RTC and not agent.accepts_guidance:
             raise ValueError(
-                f"inference mode rtc guides a chunk while it is generated, which {agent.name!r} does not support; "
+                f"inference mode rtc guides a chunk while it is generated, which {agent.name!r} "
+                f"does not support; "
                 "use async"
             )
-        for name in ("name", "sees_images", "views", "environment_state", "privileged", "weights", "trained_for"):
+        for name in (
+            "name",
+            "sees_images",
+            "views",
+            "environment_state",
+            "privileged",
+            "weights",
+            "trained_for",
+        ):
             setattr(self, name, getattr(agent, name))
         if inference.mode == RTC:
             agent.enable_guidance()
@@ -146,10 +169,13 @@ class RealTimeAgent(Agent):
     def _infer(self, observation: Observation, worlds: np.ndarray) -> None:
         """Begin an inference in each of the sorted ``worlds`` (n,)."""
         continued = self._continued(worlds) if self._continues else {}
-        for i, actions, seconds in zip(worlds, *self._agent.plan(observation, worlds, **continued), strict=True):
+        for i, actions, seconds in zip(
+            worlds, *self._agent.plan(observation, worlds, **continued), strict=True
+        ):
             if self._delay is not None and self._delay >= len(actions):
                 raise ValueError(
-                    f"the chunks of {self.name!r} have {len(actions)} actions, all of them past when a chunk is ready "
+                    f"the chunks of {self.name!r} have {len(actions)} actions, all of them past "
+                    f"when a chunk is ready "
                     f"after {self._delay} frames; allowed are less than {len(actions)} frames"
                 )
             took = frames_of(seconds) if self._delay is None else self._delay
@@ -157,17 +183,25 @@ class RealTimeAgent(Agent):
             self._inferences, self._waited_frames = self._inferences + 1, self._waited_frames + took
 
     def _continued(self, worlds: np.ndarray) -> dict[str, np.ndarray]:
-        """The chunks that continue in ``worlds`` (n,); an inference is expected to take as long as the last one."""
+        """The chunks that continue in ``worlds`` (n,); an inference is expected to take as long as
+        the last one.
+        """
         old = [chunk for i in worlds if (chunk := self._running[i]) is not None]
         if not old:
             return {}
-        lasted = [chunk.ready - chunk.first if self._delay is None else self._delay for chunk in old]
-        return {"delays": np.array(lasted), "executed": np.array([self._frame - chunk.first for chunk in old])}
+        lasted = [
+            chunk.ready - chunk.first if self._delay is None else self._delay for chunk in old
+        ]
+        return {
+            "delays": np.array(lasted),
+            "executed": np.array([self._frame - chunk.first for chunk in old]),
+        }
 
 
 @dataclass(frozen=True)
 class QueuedPolicy:
-    """How a policy answers calls for one action: it infers in one call and answers the next ones from a queue.
+    """How a policy answers calls for one action: it infers in one call and answers the next ones
+    from a queue.
 
     Attributes:
         name: for messages.
@@ -181,45 +215,53 @@ class QueuedPolicy:
 
 
 class StepwiseInference:
-    """The timeline of a `QueuedPolicy`: it decides after which calls the world moves, and what its hands do then.
+    """The timeline of a `QueuedPolicy`: it decides after which calls the world moves, and what its
+    hands do then.
 
-    The world can stand still while the queue is read, and move on only in the last calls of each queue:
+    The world can stand still while the queue is read, and move on only in the last calls of each
+    queue:
 
-        frame seen     0 0 0 0 1 2   3 3 3 3 4 5   6 ...      latency of 3 frames, queue of 6 actions
-        action read    0 1 2 3 4 5   3 4 5 6 7 8   6 ...      each for the frame of this number
-        executed             - - -         3 4 5              in frames 0 1 2, 3 4 5: what is past of a chunk is skipped
+        frame seen     0 0 0 0 1 2   3 3 3 3 4 5   6 ...      latency of 3 frames, queue of 6
+        actions action read    0 1 2 3 4 5   3 4 5 6 7 8   6 ...      each for the frame of this
+        number executed             - - -         3 4 5              in frames 0 1 2, 3 4 5: what is
+        past of a chunk is skipped
 
-    Each inference gets the observation of the frame in which it begins, and the frames just before it are seen as well.
-    All worlds are asked together, so they begin their inferences together.
+    Each inference gets the observation of the frame in which it begins, and the frames just before
+    it are seen as well. All worlds are asked together, so they begin their inferences together.
     """
 
     def __init__(self, policy: QueuedPolicy, inference: Inference) -> None:
         """Give ``policy`` the timing ``inference``.
 
         Raises:
-            ValueError: if the mode or the latency is impossible with one action a call, or if the policy has no actions
-                left when a chunk is ready, or would see a frame twice.
+            ValueError: if the mode or the latency is impossible with one action a call, or if the
+                policy has no actions left when a chunk is ready, or would see a frame twice.
         """
         if inference.mode != ASYNC:
             raise ValueError(
-                f"inference mode {inference.mode} needs whole chunks, and here the policy is asked for one action a "
+                f"inference mode {inference.mode} needs whole chunks, and here the policy is "
+                f"asked for one action a "
                 f"call; use async, or dynahoi evaluate --inference {inference.mode}"
             )
         if (latency_ms := inference.latency_ms) is None:
             raise ValueError(
-                "a measured latency would count what happens between two calls, such as writing videos; "
+                "a measured latency would count what happens between two calls, such as writing "
+                "videos; "
                 "declare it in ms, or use dynahoi evaluate --inference-ms measured"
             )
         self.policy, self._delay = policy, frames_of(latency_ms / 1000)
         self._period = max(1, self._delay)
         if (least := self._delay + 1) > policy.n_action_steps:
             raise ValueError(
-                f"{policy.name!r} executes {policy.n_action_steps} actions of a chunk, all of them past when it is "
-                f"ready after {latency_ms:g} ms ({self._delay} frames); n_action_steps must be at least {least}"
+                f"{policy.name!r} executes {policy.n_action_steps} actions of a chunk, all of "
+                f"them past when it is "
+                f"ready after {latency_ms:g} ms ({self._delay} frames); n_action_steps must be "
+                f"at least {least}"
             )
         if policy.lookback_frames > self._delay and policy.n_action_steps > self._period:
             raise ValueError(
-                f"{policy.name!r} looks back {policy.lookback_frames} frames and would see some twice, because the "
+                f"{policy.name!r} looks back {policy.lookback_frames} frames and would see some "
+                f"twice, because the "
                 "world stands still while its queue is read; use dynahoi evaluate --inference async"
             )
         self.reset()

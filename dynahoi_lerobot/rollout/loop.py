@@ -21,8 +21,8 @@ from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 
 DEFAULT_BATCH = 32
-"""Worlds played side by side. A network's rounding may depend on what else is in its batch, so a policy that is
-recorded plays consecutive seeds of a shard together, whoever records them."""
+"""Worlds played side by side. A network's rounding may depend on what else is in its batch, so a
+policy that is recorded plays consecutive seeds of a shard together, whoever records them."""
 
 
 class Session:
@@ -33,8 +33,12 @@ class Session:
         observation: what was seen last, of all worlds.
     """
 
-    def __init__(self, batch: WorldBatch, *, record_images: bool = True, render_later: bool = False) -> None:
-        """Play in ``batch``; episodes keep what was rendered, or are rendered at their end if it ``renders_later``."""
+    def __init__(
+        self, batch: WorldBatch, *, record_images: bool = True, render_later: bool = False
+    ) -> None:
+        """Play in ``batch``; episodes keep what was rendered, or are rendered at their end if it
+        ``renders_later``.
+        """
         self.batch, self.record_images, self._render_later = batch, record_images, render_later
         self.observation: Observation | None = None
         self._recorders: dict[int, WorldRecorder] = {}
@@ -47,25 +51,31 @@ class Session:
     def begin(self, ids: Sequence[int] | np.ndarray, jobs: Sequence[Job]) -> None:
         """Begin a job in each of the sorted worlds ``ids``; what was played there is dropped."""
         self.batch.reset(ids, [job.spec for job in jobs], [job.attempt for job in jobs])
-        self._recorders.update((int(i), WorldRecorder(job)) for i, job in zip(ids, jobs, strict=True))
+        self._recorders.update(
+            (int(i), WorldRecorder(job)) for i, job in zip(ids, jobs, strict=True)
+        )
 
     def observe(self, *, images: bool = True, ending: np.ndarray | None = None) -> Observation:
-        """Return what is seen of all worlds; only worlds that play, and ``ending`` (n,), are rendered."""
+        """Return what is seen of all worlds; only worlds that play, and ``ending`` (n,), are
+        rendered.
+        """
         shown = self.playing if ending is None else np.union1d(self.playing, ending)
         self.observation = self.batch.observe(images=images, ids=shown)
         return self.observation
 
-    def step(self, commands: np.ndarray, labels: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def step(
+        self, commands: np.ndarray, labels: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Record what was observed, and move the worlds that play by one frame.
 
         Args:
-            commands: (N, 18), or (N, 4) in control mode ``grasp``, of all worlds; those of worlds that do not play are
-                ignored.
+            commands: (N, 18), or (N, 4) in control mode ``grasp``, of all worlds; those of worlds
+                that do not play are ignored.
             labels: (N, 18) what a teacher wants from this frame; None without a teacher.
 
         Returns:
-            (N,) bool each: worlds in which the capture rule has settled the outcome, and others that have reached
-            their longest length.
+            (N,) bool each: worlds in which the capture rule has settled the outcome, and others
+            that have reached their longest length.
 
         Raises:
             ValueError: for a wrong shape or a value that is not finite; nothing has moved then.
@@ -75,8 +85,14 @@ class Session:
         images = self.observation.images if self.record_images else {}
         self.batch.step(commands, self.playing)
         given = self.batch.given.copy()
-        wanted = given if labels is None else self.batch.commands.labels(labels, self.observation.state)
-        columns |= {"action": wanted, "given_action": given, "executed_action": self.batch.executed.copy()}
+        wanted = (
+            given if labels is None else self.batch.commands.labels(labels, self.observation.state)
+        )
+        columns |= {
+            "action": wanted,
+            "given_action": given,
+            "executed_action": self.batch.executed.copy(),
+        }
         terminated, full = np.zeros((2, self.batch.size), bool)
         for i, recorder in self._recorders.items():
             recorder.add(columns, i, images)
@@ -91,8 +107,11 @@ class Session:
         """Return what world ``i`` plays."""
         return self._recorders[i].job
 
-    def finish(self, i: int, actor: str, meeting: Meeting | None = None, *, again: bool = False) -> Episode:
-        """End the episode of world ``i`` and return the recording, which names the actor and has its plan, if any.
+    def finish(
+        self, i: int, actor: str, meeting: Meeting | None = None, *, again: bool = False
+    ) -> Episode:
+        """End the episode of world ``i`` and return the recording, which names the actor and has
+        its plan, if any.
 
         If a failed episode is played ``again``, its images need not be rendered.
         """
@@ -104,12 +123,17 @@ class Session:
 
 
 def play(
-    batch: WorldBatch, actor: Actor, jobs: Iterable[Job], *, images: bool = False, retry: bool = False
+    batch: WorldBatch,
+    actor: Actor,
+    jobs: Iterable[Job],
+    *,
+    images: bool = False,
+    retry: bool = False,
 ) -> Iterator[tuple[Job, Episode]]:
     """Play jobs in the worlds of ``batch`` and yield each with its episode, as they end.
 
-    A world that finishes begins the next job at once, unless the actor has memory: then it gets the next jobs together,
-    after ``reset``.
+    A world that finishes begins the next job at once, unless the actor has memory: then it gets the
+    next jobs together, after ``reset``.
 
     Args:
         batch: the worlds.
@@ -122,7 +146,9 @@ def play(
         ValueError: if the actor needs images and the recipe has no camera.
     """
     if actor.sees_images and not batch.recipe.image_size:
-        raise ValueError(f"{actor.name!r} needs images, and the recipe's image_size is 0, no camera")
+        raise ValueError(
+            f"{actor.name!r} needs images, and the recipe's image_size is 0, no camera"
+        )
     later = images and not actor.sees_images and batch.renders_later
     session, fresh, again = Session(batch, render_later=later), iter(jobs), deque[Job]()
     while True:
@@ -147,17 +173,20 @@ def play(
 def record(
     recipe: Recipe, seeds: Sequence[int], *, batch_size: int = DEFAULT_BATCH, threads: int = 0
 ) -> Iterator[Episode]:
-    """Yield the expert's successful episodes, in the order of ``seeds``; those it never manages are left out.
+    """Yield the expert's successful episodes, in the order of ``seeds``; those it never manages are
+    left out.
 
-    With ``recipe.keep_failures`` the last attempt at them is yielded instead. Each frame's ``action`` is the expert's
-    label, see `teacher_labels`; an episode ends soon after its outcome. Each is a function of (recipe, seed): batch
-    size and threads do not matter.
+    With ``recipe.keep_failures`` the last attempt at them is yielded instead. Each frame's
+    ``action`` is the expert's label, see `teacher_labels`; an episode ends soon after its outcome.
+    Each is a function of (recipe, seed): batch size and threads do not matter.
     """
     if len(recipe.split_definition.path_speeds) > 1:
         raise ValueError(f"split {recipe.split!r} is for evaluations; record another one")
     batch = WorldBatch(recipe, min(batch_size, max(1, len(seeds))), threads)
     expert = Demonstrator(EXPERTS[recipe.expert](), recipe.perturbed_share)
-    for episode in _in_order(play(batch, expert, _fresh_jobs(recipe, seeds, threads), images=True, retry=True)):
+    for episode in _in_order(
+        play(batch, expert, _fresh_jobs(recipe, seeds, threads), images=True, retry=True)
+    ):
         if episode.success or recipe.keep_failures:
             yield episode
 
@@ -169,15 +198,19 @@ def record_on_policy(
 
     Args:
         recipe: with an ``actor``, whose states its expert labels.
-        seeds: of the episodes; what a policy does may depend, in the last bit, on which are played in a group.
-        make_agent: returns the policy that the recipe names, whose random numbers follow from the seed given.
+        seeds: of the episodes; what a policy does may depend, in the last bit, on which are played
+            in a group.
+        make_agent: returns the policy that the recipe names, whose random numbers follow from the
+            seed given.
         threads: for physics, 0 for all cores; without influence on the result.
     """
     for first in range(0, len(seeds), DEFAULT_BATCH):
         group = seeds[first : first + DEFAULT_BATCH]
         agent = LabelledAgent(make_agent(group[0]), recipe.teacher(), recipe.actor)
         jobs = _fresh_jobs(recipe, group, threads)
-        yield from _in_order(play(WorldBatch(recipe, len(group), threads), agent, jobs, images=True))
+        yield from _in_order(
+            play(WorldBatch(recipe, len(group), threads), agent, jobs, images=True)
+        )
 
 
 def _in_order(played: Iterable[tuple[Job, Episode]]) -> Iterator[Episode]:
@@ -196,8 +229,9 @@ def evaluate(
 ) -> Iterator[Episode]:
     """Yield one evaluated episode per spec, as they end: the window, then up to L control steps.
 
-    The frame after the last step is recorded as well, as its outcome; what is commanded there has none. An expert that
-    may try again does so here as well; ``meta.attempts`` says how often it had to.
+    The frame after the last step is recorded as well, as its outcome; what is commanded there has
+    none. An expert that may try again does so here as well; ``meta.attempts`` says how often it had
+    to.
     """
     jobs = (Job.evaluation(i, spec) for i, spec in enumerate(specs))
     for _, episode in play(batch, actor, jobs, images=images, retry=True):
@@ -211,7 +245,9 @@ def _fresh_jobs(recipe: Recipe, seeds: Sequence[int], threads: int) -> Iterator[
 
 
 def _begin(session: Session, actor: Actor, again: deque[Job], fresh: Iterator[Job]) -> None:
-    """Give every idle world a job, as long as there are any: first those to be played ``again``, then fresh ones."""
+    """Give every idle world a job, as long as there are any: first those to be played ``again``,
+    then fresh ones.
+    """
     idle = np.setdiff1d(np.arange(session.batch.size), session.playing)
     jobs = [again.popleft() for _ in idle[: len(again)]]
     jobs += islice(fresh, len(idle) - len(jobs))
@@ -220,7 +256,7 @@ def _begin(session: Session, actor: Actor, again: deque[Job], fresh: Iterator[Jo
         actor.reset(session.batch.size)
 
 
-# -- again, from the seed alone or by stored actions in the world that the seed describes ------------------------------
+# -- again, from the seed alone or by stored actions in the world that the seed describes ----------
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,7 +297,8 @@ class Replayer(Agent):
 def played_again(recipe: Recipe, recorded: Episode) -> Episode | None:
     """Return what recording the episode's seed gives now; None if the expert does not manage it.
 
-    Nothing but its seed matters, or in an on-policy recording the commands given, in the policy's place.
+    Nothing but its seed matters, or in an on-policy recording the commands given, in the policy's
+    place.
     """
     seed = recorded.meta.seed
     if not recipe.actor:
@@ -273,18 +310,21 @@ def played_again(recipe: Recipe, recorded: Episode) -> Episode | None:
 def replay(
     recipe: Recipe, logs: Sequence[ActionLog], *, images: bool = True, as_evaluated: bool = False
 ) -> list[Episode]:
-    """Return the episodes that logged commands lead to, played again from their seeds, in the order of the logs.
+    """Return the episodes that logged commands lead to, played again from their seeds, in the order
+    of the logs.
 
     Args:
         recipe: what was played.
         logs: one an episode; all are played side by side.
         images: whether to record images.
-        as_evaluated: whether an episode ends when an evaluation ends it, before a log that continues and after one that
-            stops; by default it ends with its log.
+        as_evaluated: whether an episode ends when an evaluation ends it, before a log that
+            continues and after one that stops; by default it ends with its log.
     """
     specs = sample_specs(recipe, [log.seed for log in logs])
     jobs = [
-        Job.evaluation(i, spec, log.attempt) if as_evaluated else Job(i, spec, len(log.actions), log.attempt)
+        Job.evaluation(i, spec, log.attempt)
+        if as_evaluated
+        else Job(i, spec, len(log.actions), log.attempt)
         for i, (spec, log) in enumerate(zip(specs, logs, strict=True))
     ]
     played = play(WorldBatch(recipe, len(logs)), Replayer(logs), jobs, images=images)

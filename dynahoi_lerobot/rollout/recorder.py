@@ -1,4 +1,6 @@
-"""Recording one world: copying its frames while it is played, freezing them into an Episode when it ends."""
+"""Recording one world: copying its frames while it is played, freezing them into an Episode when it
+ends.
+"""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -43,22 +45,32 @@ class Job:
 
     @classmethod
     def evaluation(cls, index: int, spec: EpisodeSpec, attempt: int = 1) -> Self:
-        """Return the job of an evaluation: the window, up to L control steps, and the frame the last of them led to."""
-        return cls(index, spec, spec.window_frames + spec.length_frames + 1, attempt, stop_settled=True)
+        """Return the job of an evaluation: the window, up to L control steps, and the frame the
+        last of them led to.
+        """
+        return cls(
+            index, spec, spec.window_frames + spec.length_frames + 1, attempt, stop_settled=True
+        )
 
 
 TOUCH_M = 0.005
-"""A fingertip this close touches the target: the sphere-overlap test of Appendix "Data collection"."""
+"""A fingertip this close touches the target: the sphere-overlap test of Appendix "Data
+collection"."""
 CONTACTS = ("finger_force_n", "palm_force_n", "others")
-"""Fields of ``TargetContacts``, which the capture rule judges; an episode keeps the fingers' forces as ``touch``."""
+"""Fields of ``TargetContacts``, which the capture rule judges; an episode keeps the fingers' forces
+as ``touch``."""
 JUDGED = ("state", "localized", "palm_distance", *CONTACTS)
 """Columns from which the capture rule reads its verdict."""
 
 
 def measure_frame(batch: WorldBatch, observation: Observation) -> dict[str, np.ndarray]:
-    """Return what is recorded of all N worlds at this frame besides images, (N, ...) each, by name in ``Episode``."""
+    """Return what is recorded of all N worlds at this frame besides images, (N, ...) each, by name
+    in ``Episode``.
+    """
     features = frame_features(0, contact_sensors=batch.rule.uses_contact_sensors)
-    columns = {feature.name: getattr(observation, feature.name) for feature in features if feature.observed}
+    columns = {
+        feature.name: getattr(observation, feature.name) for feature in features if feature.observed
+    }
     if observation.sighting is not None:
         columns["sighting"] = observation.sighting
     contacts, tips_m = batch.contacts, batch.tip_distance()
@@ -90,7 +102,8 @@ class WorldRecorder:
         """Record a frame of world ``i``, each array of all worlds.
 
         Args:
-            columns: what was measured, and ``action``, ``given_action`` and ``executed_action`` of the step from it.
+            columns: what was measured, and ``action``, ``given_action`` and ``executed_action`` of
+                the step from it.
             i: the world.
             images: (N, H, W, 3) uint8 by view, if any.
         """
@@ -114,13 +127,17 @@ class WorldRecorder:
         return len(self.frames) >= self.job.frames
 
     def success(self, rule: CaptureRule) -> bool:
-        """Return the rule's verdict on the frames so far; a success is not judged again, for it lasts."""
+        """Return the rule's verdict on the frames so far; a success is not judged again, for it
+        lasts.
+        """
         if self.localized_frames and not self.succeeded:
             self.succeeded = rule.success(self._track(self._columns(JUDGED)))
         return self.succeeded
 
     def freeze(self, batch: WorldBatch, actor: str, meeting: Meeting | None) -> Episode:
-        """Return the recording as an Episode of ``actor``, which planned ``meeting`` at control start."""
+        """Return the recording as an Episode of ``actor``, which planned ``meeting`` at control
+        start.
+        """
         spec, rule, columns = self.job.spec, batch.rule, self._columns()
         track = self._track(columns)
         columns |= episode_constants(batch, spec, meeting)
@@ -133,7 +150,11 @@ class WorldRecorder:
             images={view: np.stack(frames) for view, frames in self.images.items()},
             success=rule.success(track),
             stage=rule.stage(track),
-            **{name: _typed(columns[name], feature) for name, feature in FEATURES.items() if name in columns},
+            **{
+                name: _typed(columns[name], feature)
+                for name, feature in FEATURES.items()
+                if name in columns
+            },
         )
 
     def _padded(self, control: np.ndarray) -> np.ndarray:
@@ -142,7 +163,10 @@ class WorldRecorder:
 
     def _columns(self, names: Iterable[str] | None = None) -> dict[str, np.ndarray]:
         """What was measured besides images, (T, ...) each, by default everything."""
-        return {name: np.stack([frame[name] for frame in self.frames]) for name in names or self.frames[0]}
+        return {
+            name: np.stack([frame[name] for frame in self.frames])
+            for name in names or self.frames[0]
+        }
 
     def _track(self, columns: dict[str, np.ndarray]) -> Track:
         """What the capture rule judges: the control phase."""
@@ -150,7 +174,9 @@ class WorldRecorder:
         control = slice(spec.window_frames, None)
         return Track(
             joints=columns["state"][control, PALM_DOF:],
-            open_joints=spec.open_joints.astype(np.float32),  # as it is stored, for metrics to judge the same
+            open_joints=spec.open_joints.astype(
+                np.float32
+            ),  # as it is stored, for metrics to judge the same
             reference_joints=spec.reference_joints.astype(np.float32),
             localized=columns["localized"][control],
             contacts=TargetContacts(**{name: columns[name][control] for name in CONTACTS}),
@@ -160,7 +186,9 @@ class WorldRecorder:
 
 
 def next_frames(flags: np.ndarray) -> np.ndarray:
-    """Return (T,) what follows each frame; the last one, whose successor is not recorded, stands for it."""
+    """Return (T,) what follows each frame; the last one, whose successor is not recorded, stands
+    for it.
+    """
     return np.append(flags[1:], flags[-1:])
 
 
@@ -171,7 +199,9 @@ def _typed(value: Any, feature: Feature) -> Any:
 
 
 def episode_meta(job: Job, capture: str, control_class: str, agent: str) -> EpisodeMeta:
-    """Return what the episode of a job is, played by an agent under a capture rule and a control class."""
+    """Return what the episode of a job is, played by an agent under a capture rule and a control
+    class.
+    """
     spec = job.spec
     return EpisodeMeta(
         seed=spec.seed,
@@ -194,8 +224,12 @@ def episode_meta(job: Job, capture: str, control_class: str, agent: str) -> Epis
     )
 
 
-def episode_constants(batch: WorldBatch, spec: EpisodeSpec, meeting: Meeting | None) -> dict[str, Any]:
-    """Return what does not change in an episode, by name in ``Episode``; ``meeting`` is the plan at control start."""
+def episode_constants(
+    batch: WorldBatch, spec: EpisodeSpec, meeting: Meeting | None
+) -> dict[str, Any]:
+    """Return what does not change in an episode, by name in ``Episode``; ``meeting`` is the plan at
+    control start.
+    """
     model = batch.scene.model
     return object_constants(spec.motion, spec.target) | {
         "home_position": spec.home_pos_w,
@@ -208,7 +242,11 @@ def episode_constants(batch: WorldBatch, spec: EpisodeSpec, meeting: Meeting | N
         "side_camera": camera_pose(model, SIDE_CAMERA),
         "ego_intrinsics": intrinsics(model, EGO_VIEW, batch.cameras.image_size),
         "side_intrinsics": intrinsics(model, SIDE_CAMERA, batch.cameras.image_size),
-        "hand_limits": [batch.commands.palm_speed_m_s, batch.control.joint_speed_rad_s, batch.control.latency_ms],
+        "hand_limits": [
+            batch.commands.palm_speed_m_s,
+            batch.control.joint_speed_rad_s,
+            batch.control.latency_ms,
+        ],
         "first_plan": planned_speed_and_lead_time(spec, meeting),
     }
 
@@ -224,17 +262,23 @@ def object_constants(motion: Motion, target: TargetObject) -> dict[str, Any]:
         "object_mass": target.mass_kg,
         "object_inertia": target.inertia,
         # of two that touch, the greater counts
-        "object_friction": [target.friction, max(own, *(box.friction for box in launch.boxes), 0.0)],
-        "object_restitution": max(launch.restitution, *(body.restitution for body in (*launch.boxes, *struck)), 0.0),
+        "object_friction": [
+            target.friction,
+            max(own, *(box.friction for box in launch.boxes), 0.0),
+        ],
+        "object_restitution": max(
+            launch.restitution, *(body.restitution for body in (*launch.boxes, *struck)), 0.0
+        ),
     }
 
 
 def planned_speed_and_lead_time(spec: EpisodeSpec, meeting: Meeting | None) -> tuple[float, float]:
-    """Return what a plan at control start amounts to, as the paper's ``moveSpeed`` (Appendix "Data collection").
+    """Return what a plan at control start amounts to, as the paper's ``moveSpeed`` (Appendix "Data
+    collection").
 
     Returns:
-        The palm's straight way from home to the meeting over the time to it [m/s], and this time [s]; zeros for no
-        plan.
+        The palm's straight way from home to the meeting over the time to it [m/s], and this time
+        [s]; zeros for no plan.
     """
     if meeting is None:
         return 0.0, 0.0

@@ -1,8 +1,10 @@
-"""Who moves the hand in recordings: the expert, in part perturbed, or a policy. The expert labels every frame.
+"""Who moves the hand in recordings: the expert, in part perturbed, or a policy. The expert labels
+every frame.
 
-A recorded expert executes its own labels. In a share of the episodes its palm is perturbed: pulled away for several
-frames at a time, and jittering. A policy trained only on undisturbed approaches cannot recover from its own first
-mistake (DART; Laskey et al., 2017). The commands given are recorded beside the labels.
+A recorded expert executes its own labels. In a share of the episodes its palm is perturbed: pulled
+away for several frames at a time, and jittering. A policy trained only on undisturbed approaches
+cannot recover from its own first mistake (DART; Laskey et al., 2017). The commands given are
+recorded beside the labels.
 """
 
 from collections.abc import Callable
@@ -20,18 +22,22 @@ from dynahoi_lerobot.experts.base import Teacher
 PULL_ODDS = 0.15
 """Probability that a pull begins in a frame without one."""
 PULL_M = 0.12
-"""Standard deviation along each axis of a pull's destination, from where the palm is when the pull begins [m]."""
+"""Standard deviation along each axis of a pull's destination, from where the palm is when the pull
+begins [m]."""
 PULL_FRAMES = (2, 8)
 """Shortest and longest pull."""
 TREMOR_ODDS, TREMOR_M = 0.5, 0.006
-"""Share of the frames without a pull that have tremor, and its standard deviation along each axis [m]."""
+"""Share of the frames without a pull that have tremor, and its standard deviation along each axis
+[m]."""
 PERTURBED_ATTEMPTS = 3
-"""Attempts at an episode that are perturbed, each differently. A further attempt is not, so that targets that pass only
-once are recorded too."""
+"""Attempts at an episode that are perturbed, each differently. A further attempt is not, so that
+targets that pass only once are recorded too."""
 
 
 def labels(teacher: Expert, world: WorldState) -> np.ndarray:
-    """Return (N, 18) a `Teacher`'s goals, or the next commands of any other expert: [m], home frame, and [rad]."""
+    """Return (N, 18) a `Teacher`'s goals, or the next commands of any other expert: [m], home
+    frame, and [rad].
+    """
     return teacher.goals(world) if isinstance(teacher, Teacher) else teacher.act(world)
 
 
@@ -42,8 +48,10 @@ class Perturbation:
     Attributes:
         spec: the episode.
         attempt: from 1.
-        pull_begin: (F,) int, the frame in which the pull of each frame began, -1 for frames without one.
-        pull_m: (F, 3) destination of a pull that begins in each frame, from the palm's position then [m].
+        pull_begin: (F,) int, the frame in which the pull of each frame began, -1 for frames without
+            one.
+        pull_m: (F, 3) destination of a pull that begins in each frame, from the palm's position
+            then [m].
         tremor_m: (F, 3) added to the commands of frames without a pull [m].
         destinations: (3,) of each pull [m], home frame, by the frame in which it began.
     """
@@ -57,15 +65,23 @@ class Perturbation:
 
     @classmethod
     def drawn(cls, spec: EpisodeSpec, attempt: int, share: float) -> Self:
-        """Draw it; only a ``share`` (0 to 1) of the episodes is perturbed, and those in ``PERTURBED_ATTEMPTS`` only."""
-        rng, frames = np.random.default_rng([DISTURBANCE_STREAM, spec.seed, attempt]), spec.horizon_frames
+        """Draw it; only a ``share`` (0 to 1) of the episodes is perturbed, and those in
+        ``PERTURBED_ATTEMPTS`` only.
+        """
+        rng, frames = (
+            np.random.default_rng([DISTURBANCE_STREAM, spec.seed, attempt]),
+            spec.horizon_frames,
+        )
         perturbed = (
-            np.random.default_rng([DISTURBANCE_STREAM, spec.seed]).random() < share and attempt <= PERTURBED_ATTEMPTS
+            np.random.default_rng([DISTURBANCE_STREAM, spec.seed]).random() < share
+            and attempt <= PERTURBED_ATTEMPTS
         )
         begins = rng.random(frames) < PULL_ODDS
         lengths = rng.integers(PULL_FRAMES[0], PULL_FRAMES[1] + 1, frames)
         pull_m = rng.normal(0.0, PULL_M, (frames, PALM_DOF))
-        tremor_m = rng.normal(0.0, TREMOR_M, (frames, PALM_DOF)) * (rng.random((frames, 1)) < TREMOR_ODDS)
+        tremor_m = rng.normal(0.0, TREMOR_M, (frames, PALM_DOF)) * (
+            rng.random((frames, 1)) < TREMOR_ODDS
+        )
         pull_begin = np.full(frames, -1)
         for frame in np.flatnonzero(begins & perturbed):
             if pull_begin[frame] < 0:
@@ -92,7 +108,9 @@ class Demonstrator(Expert):
     """A recorded expert: it executes its own labels, perturbed in some episodes."""
 
     def __init__(self, expert: Expert, perturbed_share: float) -> None:
-        """Record ``expert``, perturbed in a share (0 to 1) of the episodes if it is a `Teacher`, which recovers."""
+        """Record ``expert``, perturbed in a share (0 to 1) of the episodes if it is a `Teacher`,
+        which recovers.
+        """
         self.name, self.retries, self._expert = expert.name, expert.retries, expert
         self._share = perturbed_share if isinstance(expert, Teacher) else 0.0
         if self._share:
@@ -109,9 +127,19 @@ class Demonstrator(Expert):
         commands = self.labels.copy()
         for i, spec in enumerate(world.specs):
             frame = int(world.frame[i])
-            if spec is not None and self._share and not world.localized[i] and frame < spec.horizon_frames:
-                perturbation, palm = self._perturbation(i, spec, int(world.attempt[i])), world.state_when_due[i]
-                commands[i, :PALM_DOF] = perturbation(frame, palm[:PALM_DOF], commands[i, :PALM_DOF])
+            if (
+                spec is not None
+                and self._share
+                and not world.localized[i]
+                and frame < spec.horizon_frames
+            ):
+                perturbation, palm = (
+                    self._perturbation(i, spec, int(world.attempt[i])),
+                    world.state_when_due[i],
+                )
+                commands[i, :PALM_DOF] = perturbation(
+                    frame, palm[:PALM_DOF], commands[i, :PALM_DOF]
+                )
         return commands
 
     def _perturbation(self, i: int, spec: EpisodeSpec, attempt: int) -> Perturbation:
@@ -123,19 +151,28 @@ class Demonstrator(Expert):
 
 
 class LabelledAgent(Actor):
-    """A policy that moves the hand while a teacher labels the states it visits (DAgger; Ross et al., 2011)."""
+    """A policy that moves the hand while a teacher labels the states it visits (DAgger; Ross et
+    al., 2011).
+    """
 
     privileged = False
     has_memory = True
 
     def __init__(self, agent: Agent, teacher: Teacher, name: str) -> None:
-        self.name, self.sees_images, self._agent, self._teacher = name, agent.sees_images, agent, teacher
+        self.name, self.sees_images, self._agent, self._teacher = (
+            name,
+            agent.sees_images,
+            agent,
+            teacher,
+        )
 
     def reset(self, count: int) -> None:
         """Forget the last episodes."""
         self._agent.reset(count)
 
-    def commands(self, observation: Observation, world_state: Callable[[Observation], WorldState]) -> np.ndarray:
+    def commands(
+        self, observation: Observation, world_state: Callable[[Observation], WorldState]
+    ) -> np.ndarray:
         """Return (N, 18) the commands of the policy, which sees only the observation."""
         self.labels = labels(self._teacher, world_state(observation))
         return self._agent.act(observation)

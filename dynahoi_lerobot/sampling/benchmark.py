@@ -1,9 +1,11 @@
-"""The benchmark: which motions, objects and seeds each split holds, how long and how far they are, and the rules.
+"""The benchmark: which motions, objects and seeds each split holds, how long and how far they are,
+and the rules.
 
-What is listed here, and nothing else, decides which episodes the splits hold. Any other registered motion or object is
-played when a recipe names it and never enters a split by itself, so registering one changes no published episode.
-A change to this file, or to what it refers to, is a new version of the benchmark: `python benchmarks/pin.py --check`
-compares it, the episodes of all splits and some images with the digests that are committed.
+What is listed here, and nothing else, decides which episodes the splits hold. Any other registered
+motion or object is played when a recipe names it and never enters a split by itself, so registering
+one changes no published episode. A change to this file, or to what it refers to, is a new version
+of the benchmark: `python benchmarks/pin.py --check` compares it, the episodes of all splits and
+some images with the digests that are committed.
 """
 
 from dataclasses import dataclass
@@ -14,25 +16,69 @@ from dynahoi_lerobot.core.conventions import LOCALIZATION_RADIUS_M, UNIT_M
 from dynahoi_lerobot.core.rules import CONTROL_CLASSES
 
 HOLD_CLEARANCE_M = LOCALIZATION_RADIUS_M + 0.005
-"""Least distance of the target from the palm centre of a hand that never moves, from control start to the end.
+"""Least distance of the target from the palm centre of a hand that never moves, from control start
+to the end.
 
-The margin is for paths that bend between two frames: a target in free fall strays 3 mm from a straight line.
+The margin is for paths that bend between two frames: a target in free fall strays 3 mm from a
+straight line.
 """
 
 MOTIONS = (
-    "accelerating", "bounce", "conical", "constant", "cross_throw", "damped", "decelerating", "depth", "harmonic_drift",
-    "horizontal_circle", "lateral", "line_then_arc", "lob", "planar", "ramp", "ramp_and_runout", "random_spline",
-    "struck", "swinging_arc", "vertical", "vertical_circle", "wall_rebound",
-)  # fmt: skip
-"""The 22 kinds of motion of the in-distribution splits. Seed s of a split has kind number s modulo 22."""
+    "accelerating",
+    "bounce",
+    "conical",
+    "constant",
+    "cross_throw",
+    "damped",
+    "decelerating",
+    "depth",
+    "harmonic_drift",
+    "horizontal_circle",
+    "lateral",
+    "line_then_arc",
+    "lob",
+    "planar",
+    "ramp",
+    "ramp_and_runout",
+    "random_spline",
+    "struck",
+    "swinging_arc",
+    "vertical",
+    "vertical_circle",
+    "wall_rebound",
+)
+"""The 22 kinds of motion of the in-distribution splits. Seed s of a split has kind number s modulo
+22."""
 
 PRESCRIBED = (
-    "accelerating", "constant", "decelerating", "depth", "harmonic_drift", "horizontal_circle", "lateral",
-    "line_then_arc", "random_spline", "swinging_arc", "vertical", "vertical_circle",
-)  # fmt: skip
+    "accelerating",
+    "constant",
+    "decelerating",
+    "depth",
+    "harmonic_drift",
+    "horizontal_circle",
+    "lateral",
+    "line_then_arc",
+    "random_spline",
+    "swinging_arc",
+    "vertical",
+    "vertical_circle",
+)
 """Those of them whose path is prescribed, so that it can be traversed at any speed."""
 
-OBJECTS = ("ball", "block", "bottle", "capsule", "cone", "cube", "cup", "cylinder", "disc", "egg", "ring")
+OBJECTS = (
+    "ball",
+    "block",
+    "bottle",
+    "capsule",
+    "cone",
+    "cube",
+    "cup",
+    "cylinder",
+    "disc",
+    "egg",
+    "ring",
+)
 """The 11 objects of the in-distribution splits."""
 
 
@@ -41,15 +87,16 @@ class Split:
     """A list of episodes: seeds of one stream, over some motions and objects.
 
     Attributes:
-        stream: name that goes into the random numbers together with the seed; two splits of one stream share the
-            episodes of their common seeds.
+        stream: name that goes into the random numbers together with the seed; two splits of one
+            stream share the episodes of their common seeds.
         size: number of episodes, whose seeds are 0 to size - 1; None if there is no end.
         motions: kinds of motion, in the order in which they take turns.
         objects: objects to draw from.
-        speed_scale: 1 for the speeds of training; otherwise speeds are drawn from the end of training's range up to
-            this many times that end.
-        path_speeds: how many times as fast the same episodes can be played, the greatest last: the target is on the
-            same path, and at the intercept in the same frame. Only of prescribed paths, as gravity cannot be scaled.
+        speed_scale: 1 for the speeds of training; otherwise speeds are drawn from the end of
+            training's range up to this many times that end.
+        path_speeds: how many times as fast the same episodes can be played, the greatest last: the
+            target is on the same path, and at the intercept in the same frame. Only of prescribed
+            paths, as gravity cannot be scaled.
     """
 
     stream: str
@@ -84,7 +131,8 @@ RULES = {
     "grasp_fraction": (conventions.GRASP_FRACTION, conventions.LARGEST_GRASP_FRACTION),
     "control_classes": tuple(CONTROL_CLASSES.values()),
 }
-"""What is the same for whoever is evaluated, so that a change to it is a new version; `conventions` says what it is."""
+"""What is the same for whoever is evaluated, so that a change to it is a new version; `conventions`
+says what it is."""
 
 
 @dataclass(frozen=True)
@@ -109,11 +157,15 @@ class Benchmark:
 
     @property
     def streams(self) -> tuple[str, ...]:
-        """Names of the seed streams; each is also the name of the split with the most seeds of it."""
+        """Names of the seed streams; each is also the name of the split with the most seeds of
+        it.
+        """
         return tuple(name for name, split in self.splits.items() if name == split.stream)
 
     def splits_with(self, noun: str, name: str) -> list[str]:
-        """Return the splits that list a ``motion`` or an ``object``; none for what is not part of the benchmark."""
+        """Return the splits that list a ``motion`` or an ``object``; none for what is not part of
+        the benchmark.
+        """
         return [key for key, split in self.splits.items() if name in getattr(split, f"{noun}s")]
 
 
@@ -136,9 +188,10 @@ BENCHMARK = Benchmark(
         edges=(20, 40, 60, 80, 120, 160),
         shares=(0.202, 0.361, 0.195, 0.139, 0.101),
     ),
-    # Figure 3d. From less than 3.5 cm away the target would come by itself; beyond 6 u nothing is sampled. The paper's
-    # shares of 20.1, 47.7, 16.4 and 5.8 % leave 10 % unassigned; the bins share it so that none is 3 points off. The
-    # third gets least, because episodes that are redrawn when the hand finds no home add a point to it.
+    # Figure 3d. From less than 3.5 cm away the target would come by itself; beyond 6 u nothing is
+    # sampled. The paper's shares of 20.1, 47.7, 16.4 and 5.8 % leave 10 % unassigned; the bins
+    # share it so that none is 3 points off. The third gets least, because episodes that are redrawn
+    # when the hand finds no home add a point to it.
     travels=Histogram(
         edges=(HOLD_CLEARANCE_M, 0.5 * UNIT_M, 2.0 * UNIT_M, 4.0 * UNIT_M, 6.0 * UNIT_M),
         shares=(0.2260, 0.5080, 0.1830, 0.0830),

@@ -1,4 +1,6 @@
-"""The code fingerprint: a hash of the sources and library versions that decide the bytes of a dataset."""
+"""The code fingerprint: a hash of the sources and library versions that decide the bytes of a
+dataset.
+"""
 
 import hashlib
 import importlib.util
@@ -12,22 +14,43 @@ from pathlib import Path
 import dynahoi_lerobot
 from dynahoi_lerobot.core.registry import plugin_packages
 
-LIBRARIES = ("numpy", "mujoco", "mujoco-warp", "warp-lang", "av", "pyarrow", "opencv-python-headless")
+LIBRARIES = (
+    "numpy",
+    "mujoco",
+    "mujoco-warp",
+    "warp-lang",
+    "av",
+    "pyarrow",
+    "opencv-python-headless",
+)
 """Libraries whose versions may change states, pixels or files."""
 
 DECIDING = (
-    "core", "objects", "motions", "hands", "scene", "renderers", "experts", "world", "sampling", "rollout", "dataset",
-)  # fmt: skip
-"""Rooms that decide what is in a dataset; all others read datasets, play policies or spread work."""
+    "core",
+    "objects",
+    "motions",
+    "hands",
+    "scene",
+    "renderers",
+    "experts",
+    "world",
+    "sampling",
+    "rollout",
+    "dataset",
+)
+"""Rooms that decide what is in a dataset; all others read datasets, play policies or spread
+work."""
 DECIDING_MODULES = ("__init__.py", "captures.py", "generate/plan.py")
 """Modules outside them that do, too."""
 
 
 @cache
 def code_fingerprint() -> str:
-    """Return 16 hexadecimal digits that change with the deciding sources, library versions and processor kind.
+    """Return 16 hexadecimal digits that change with the deciding sources, library versions and
+    processor kind.
 
-    Installed plugins count with every module of their packages: what they register may be drawn or change what is.
+    Installed plugins count with every module of their packages: what they register may be drawn or
+    change what is.
     """
     digest = hashlib.sha256(hash_sources(Path(dynahoi_lerobot.__file__).parent))
     digest.update(hash_packages(plugin_packages()))
@@ -37,14 +60,25 @@ def code_fingerprint() -> str:
 
 
 def surroundings() -> dict[str, str]:
-    """Return what beside the sources is in the code fingerprint: the kind of processor, and versions by library."""
-    return {"processor": platform.machine(), **{name: installed_version(name) or "absent" for name in LIBRARIES}}
+    """Return what beside the sources is in the code fingerprint: the kind of processor, and
+    versions by library.
+    """
+    return {
+        "processor": platform.machine(),
+        **{name: installed_version(name) or "absent" for name in LIBRARIES},
+    }
 
 
 def extension_fingerprint(entries: Iterable[object]) -> str:
-    """Return hashes of the files outside this package that define some of ``entries``; empty if there are none."""
+    """Return hashes of the files outside this package that define some of ``entries``; empty if
+    there are none.
+    """
     modules = {entry.__module__ for entry in entries}
-    return "".join(_module_hash(module) for module in sorted(modules) if not module.startswith("dynahoi_lerobot."))
+    return "".join(
+        _module_hash(module)
+        for module in sorted(modules)
+        if not module.startswith("dynahoi_lerobot.")
+    )
 
 
 @cache
@@ -66,12 +100,18 @@ def hash_sources(package: Path) -> bytes:
 
 
 def hash_packages(names: Iterable[str]) -> bytes:
-    """Return the sha256 of the names and contents of the modules of top-level packages; those not found are none."""
+    """Return the sha256 of the names and contents of the modules of top-level packages; those not
+    found are none.
+    """
     paths: set[Path] = set()
     for name in names:
         spec = importlib.util.find_spec(name)
         if spec and spec.submodule_search_locations:
-            paths.update(path for folder in spec.submodule_search_locations for path in Path(folder).rglob("*.py"))
+            paths.update(
+                path
+                for folder in spec.submodule_search_locations
+                for path in Path(folder).rglob("*.py")
+            )
         elif spec and spec.origin:
             paths.add(Path(spec.origin))  # a module that is no package
     return _hash((path.name, path) for path in sorted(paths))

@@ -1,12 +1,15 @@
-"""Where the hand waits: a home that makes the drawn intercept the earliest reachable one, with the target in view.
+"""Where the hand waits: a home that makes the drawn intercept the earliest reachable one, with the
+target in view.
 
-The target never comes to the home by itself, and lies in no preferred direction from it, so that neither a hand that
-stands still nor one that always goes the same way catches it. The open hand is clear of tables, ramps and walls.
+The target never comes to the home by itself, and lies in no preferred direction from it, so that
+neither a hand that stands still nor one that always goes the same way catches it. The open hand is
+clear of tables, ramps and walls.
 
-Visibility and clearance are decided for one reference hand, whatever hand the recipe plays, so that every hand starts
-at the same place in the same episodes. All hands carry the same camera at the same place; only what of the view they
-hide differs. The hand does not collide with fixtures, so nothing else would stop it from waiting inside a table, where
-its camera sees what no real one could.
+Visibility and clearance are decided for one reference hand, whatever hand the recipe plays, so that
+every hand starts at the same place in the same episodes. All hands carry the same camera at the
+same place; only what of the view they hide differs. The hand does not collide with fixtures, so
+nothing else would stop it from waiting inside a table, where its camera sees what no real one
+could.
 """
 
 import functools
@@ -41,24 +44,28 @@ MIN_DEPTH_M = 0.05
 SILHOUETTE_SIZE = 96
 """Rays along each side of the view with which the hand's silhouette is measured."""
 COLLIDING_GROUPS = np.array([group != SKIN_GROUP for group in range(mujoco.mjNGROUP)], np.uint8)
-"""The silhouette is that of the hand that collides, so that homes do not depend on how the hand is drawn."""
+"""The silhouette is that of the hand that collides, so that homes do not depend on how the hand is
+drawn."""
 
 
 def find_homes(
     paths_w: Sequence[np.ndarray], timing: Timing, fixtures: Sequence[Box], rng: np.random.Generator
 ) -> np.ndarray:
-    """Return those homes for the palm centre, of some that are tried, that fit the motion until the intercept.
+    """Return those homes for the palm centre, of some that are tried, that fit the motion until the
+    intercept.
 
-    The home lies ``travel_m`` away from the intercept, so that a hand of fixed speed arrives there together with the
-    target and could not have met it at an earlier frame. A policy that knows the speed can therefore infer the
-    intercept from the motion it observes. Homes from which the hand leaves in a direction near a drawn one come first:
-    where the camera must see the target, most homes have it in front, and a hand that always went forwards would gain.
+    The home lies ``travel_m`` away from the intercept, so that a hand of fixed speed arrives there
+    together with the target and could not have met it at an earlier frame. A policy that knows the
+    speed can therefore infer the intercept from the motion it observes. Homes from which the hand
+    leaves in a direction near a drawn one come first: where the camera must see the target, most
+    homes have it in front, and a hand that always went forwards would gain.
 
     Args:
-        paths_w: (F, 3) path of the untouched target at every frame [m], world, at least to the intercept, which is the
-            same in all of them: of the episode and of its twins.
+        paths_w: (F, 3) path of the untouched target at every frame [m], world, at least to the
+            intercept, which is the same in all of them: of the episode and of its twins.
         timing: frames and travel of the episode.
-        fixtures: the boxes around the motion, which the waiting hand must not touch, nor the palm on its way.
+        fixtures: the boxes around the motion, which the waiting hand must not touch, nor the palm
+            on its way.
         rng: source of the directions tried.
 
     Returns:
@@ -76,8 +83,11 @@ def find_homes(
     return homes[keeps_clear(homes, meeting, fixtures)]
 
 
-def choose_home(paths_w: Sequence[np.ndarray], timing: Timing, homes: np.ndarray) -> np.ndarray | None:
-    """Return the first of ``homes`` (K, 3), from ``find_homes``, that the target never reaches by itself, or None.
+def choose_home(
+    paths_w: Sequence[np.ndarray], timing: Timing, homes: np.ndarray
+) -> np.ndarray | None:
+    """Return the first of ``homes`` (K, 3), from ``find_homes``, that the target never reaches by
+    itself, or None.
 
     ``paths_w`` are as there, (F, 3) [m], world, but over the whole episode.
     """
@@ -93,7 +103,9 @@ def _draw_directions(rng: np.random.Generator) -> np.ndarray:
 
 
 def in_arena(path_w: np.ndarray) -> bool:
-    """Tell whether a path (F, 3) [m], world, is finite and stays between the walls and above the floor."""
+    """Tell whether a path (F, 3) [m], world, is finite and stays between the walls and above the
+    floor.
+    """
     inside = (np.abs(path_w[:, :2]) < ARENA_HALF_M).all() and (path_w[:, 2] > 0.0).all()
     return bool(inside and np.isfinite(path_w).all())
 
@@ -106,7 +118,9 @@ def _in_workspace(homes: np.ndarray) -> np.ndarray:
 
 
 def _reachable_earlier(path_w: np.ndarray, homes: np.ndarray) -> np.ndarray:
-    """(K,) whether the hand could have met the target before the intercept; ``path_w`` starts at control start."""
+    """(K,) whether the hand could have met the target before the intercept; ``path_w`` starts at
+    control start.
+    """
     frames = np.arange(len(path_w))
     distance = np.linalg.norm(path_w - homes[:, None], axis=-1)  # (K, n)
     in_reach = distance <= INTERCEPT_SPEED_M_S * CONTROL_DT * frames
@@ -114,7 +128,9 @@ def _reachable_earlier(path_w: np.ndarray, homes: np.ndarray) -> np.ndarray:
 
 
 def _watches(window_w: np.ndarray, homes: np.ndarray) -> np.ndarray:
-    """(K,) whether the target is clear of the hand, in front of it and in view in the window, path (W + 1, 3)."""
+    """(K,) whether the target is clear of the hand, in front of it and in view in the window, path
+    (W + 1, 3).
+    """
     relative = window_w - homes[:, None]  # (K, W + 1, 3) from the palm centre, world axes
     fits = (np.linalg.norm(relative, axis=-1) > MIN_CLEARANCE_M).all(axis=1)
     fits &= (relative[..., 0] > MIN_FRONT_M).all(axis=1)
@@ -123,44 +139,70 @@ def _watches(window_w: np.ndarray, homes: np.ndarray) -> np.ndarray:
 
 
 def _clear_of(path_w: np.ndarray, homes: np.ndarray) -> np.ndarray:
-    """(K,) whether a hand that stays at home is out of the target's way; path (F, 3), straight between frames."""
+    """(K,) whether a hand that stays at home is out of the target's way; path (F, 3), straight
+    between frames.
+    """
     return np.all(segment_distance(homes, path_w) > HOLD_CLEARANCE_M, axis=1)
 
 
 def visible(points: np.ndarray) -> np.ndarray:
-    """Tell which points (..., 3) from the palm centre [m], world axes, the open reference hand's camera sees."""
+    """Tell which points (..., 3) from the palm centre [m], world axes, the open reference hand's
+    camera sees.
+    """
     pos, rotation, half = _camera()
     local = product(points - pos, rotation)  # x right, y up, z backwards
     depth = np.maximum(-local[..., 2], MIN_DEPTH_M)
     plane = local[..., :2] / (half * depth[..., None])  # -1 to 1 across the view
     in_view = (-local[..., 2] > MIN_DEPTH_M) & (np.abs(plane) < VIEW_MARGIN).all(axis=-1)
-    column, row = np.moveaxis(((np.clip(plane, -1, 1) + 1) / 2 * (SILHOUETTE_SIZE - 1)).round().astype(int), -1, 0)
+    column, row = np.moveaxis(
+        ((np.clip(plane, -1, 1) + 1) / 2 * (SILHOUETTE_SIZE - 1)).round().astype(int), -1, 0
+    )
     return in_view & (np.linalg.norm(local, axis=-1) < _hand_distance()[row, column])
 
 
 @functools.cache
 def _camera() -> tuple[np.ndarray, np.ndarray, float]:
-    """Position (3,) [m] and rotation (3, 3) of the camera in the palm's frame, and tangent of half its view."""
+    """Position (3,) [m] and rotation (3, 3) of the camera in the palm's frame, and tangent of half
+    its view.
+    """
     scene = compile_scene(REFERENCE_HAND)
     model, camera = scene.model, scene.camera
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, model.cam_quat[camera])
-    return model.cam_pos[camera], rotation.reshape(3, 3), float(tan(np.radians(model.cam_fovy[camera]) / 2))
+    return (
+        model.cam_pos[camera],
+        rotation.reshape(3, 3),
+        float(tan(np.radians(model.cam_fovy[camera]) / 2)),
+    )
 
 
 @functools.cache
 def _hand_distance() -> np.ndarray:
-    """(K, K) distance of the open hand from the camera [m], infinite beside it; rows upwards, columns rightwards."""
+    """(K, K) distance of the open hand from the camera [m], infinite beside it; rows upwards,
+    columns rightwards.
+    """
     scene, data = open_reference_hand()
     _, rotation, half = _camera()
     across = np.linspace(-half, half, SILHOUETTE_SIZE)
     x, y = np.meshgrid(across, across)
-    rays = product(np.stack([x, y, -np.ones_like(x)], axis=-1).reshape(-1, 3), rotation.T)  # (K * K, 3)
+    rays = product(
+        np.stack([x, y, -np.ones_like(x)], axis=-1).reshape(-1, 3), rotation.T
+    )  # (K * K, 3)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     geom, distance = np.zeros(len(rays), np.int32), np.zeros(len(rays))
     mujoco.mj_multiRay(
-        scene.model, data, data.cam_xpos[scene.camera], rays.ravel(), COLLIDING_GROUPS, True, -1, geom, distance, None,
-        len(rays), mujoco.mjMAXVAL,
-    )  # fmt: skip
+        scene.model,
+        data,
+        data.cam_xpos[scene.camera],
+        rays.ravel(),
+        COLLIDING_GROUPS,
+        True,
+        -1,
+        geom,
+        distance,
+        None,
+        len(rays),
+        mujoco.mjMAXVAL,
+    )
     hit = np.isin(geom, scene.hand_geoms) & (distance >= 0)
     return np.where(hit, distance, np.inf).reshape(SILHOUETTE_SIZE, SILHOUETTE_SIZE)

@@ -1,7 +1,9 @@
-"""Stronger randomisation of appearance, each by a name that a recipe may list; it changes nothing but images.
+"""Stronger randomisation of appearance, each by a name that a recipe may list; it changes nothing
+but images.
 
-Each draws from random numbers of its own, seeded with the episode, so the episode keeps its motion, its instruction and
-what the other randomisations drew. They address the first limitation that the paper names, that its scenes look alike.
+Each draws from random numbers of its own, seeded with the episode, so the episode keeps its motion,
+its instruction and what the other randomisations drew. They address the first limitation that the
+paper names, that its scenes look alike.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,11 +18,14 @@ from dynahoi_lerobot.scene.appearance import Appearance, Solid, hsv
 from dynahoi_lerobot.scene.model import DISTRACTORS
 
 BEHIND_M = 0.35
-"""Distractors stand at least this far behind the farthest point of the target's path, so that they hide nothing."""
+"""Distractors stand at least this far behind the farthest point of the target's path, so that they
+hide nothing."""
 
 
 def randomize_appearance(spec: EpisodeSpec, names: Sequence[str]) -> EpisodeSpec:
-    """Return the episode with the appearance that each of ``names`` in ``RANDOMIZATIONS`` draws for its seed."""
+    """Return the episode with the appearance that each of ``names`` in ``RANDOMIZATIONS`` draws for
+    its seed.
+    """
     for number, (name, draw) in enumerate(RANDOMIZATIONS.items()):
         if name in names:
             rng = np.random.default_rng([APPEARANCE_STREAM, number, spec.seed])

@@ -1,4 +1,6 @@
-"""EpisodeSpecs from a recipe and seeds: candidates are redrawn until the hand can observe and reach the target."""
+"""EpisodeSpecs from a recipe and seeds: candidates are redrawn until the hand can observe and reach
+the target.
+"""
 
 import zlib
 from collections.abc import Sequence
@@ -40,9 +42,10 @@ NEUTRAL = "Catch the moving {object}."
 def sample_specs(recipe: Recipe, seeds: Sequence[int], *, threads: int = 1) -> list[EpisodeSpec]:
     """Return the episodes of ``seeds``, in order.
 
-    Each is a function of (recipe, seed) alone, whatever else is sampled in the same call: its motion, object and home
-    are redrawn from the seed's own random numbers until the target can be observed and reached. Kinds of motion take
-    turns: seed s has ``recipe.motion_names[s % len(recipe.motion_names)]``.
+    Each is a function of (recipe, seed) alone, whatever else is sampled in the same call: its
+    motion, object and home are redrawn from the seed's own random numbers until the target can be
+    observed and reached. Kinds of motion take turns: seed s has ``recipe.motion_names[s %
+    len(recipe.motion_names)]``.
 
     Args:
         recipe: what to draw from.
@@ -50,7 +53,8 @@ def sample_specs(recipe: Recipe, seeds: Sequence[int], *, threads: int = 1) -> l
         threads: for rolling targets ahead; the result does not depend on it.
 
     Raises:
-        ValueError: for a negative seed, or if no motion ever fits (the message names motion and seed).
+        ValueError: for a negative seed, or if no motion ever fits (the message names motion and
+            seed).
     """
     pending = {i: Candidate(recipe, seed) for i, seed in enumerate(seeds)}
     specs: dict[int, EpisodeSpec] = {}
@@ -63,7 +67,9 @@ def sample_specs(recipe: Recipe, seeds: Sequence[int], *, threads: int = 1) -> l
             for candidate in pending.values():
                 candidate.draw_timing()
     failed = next(iter(pending.values()))
-    raise ValueError(f"motion {failed.kind.name!r} never came into reach and view for seed {failed.seed}")
+    raise ValueError(
+        f"motion {failed.kind.name!r} never came into reach and view for seed {failed.seed}"
+    )
 
 
 def sample_spec(recipe: Recipe, seed: int) -> EpisodeSpec:
@@ -72,15 +78,17 @@ def sample_spec(recipe: Recipe, seed: int) -> EpisodeSpec:
 
 
 class Candidate:
-    """One episode under construction. Every draw comes from ``rng``, which nothing but recipe and seed decides.
+    """One episode under construction. Every draw comes from ``rng``, which nothing but recipe and
+    seed decides.
 
     Attributes:
         recipe, seed: what the episode is a function of.
         kind: its kind of motion; kinds take turns with the seed.
         rng: the episode's random numbers.
         timing: frames and travel last drawn.
-        motions, target: motion and object last drawn; unset before the first ``draw_motion``. One motion for each of
-            the recipe's path speeds: what is accepted or refused is an episode with all its twins.
+        motions, target: motion and object last drawn; unset before the first ``draw_motion``. One
+            motion for each of the recipe's path speeds: what is accepted or refused is an episode
+            with all its twins.
     """
 
     timing: Timing
@@ -91,7 +99,8 @@ class Candidate:
         """Draw the first timing of a seed.
 
         Raises:
-            ValueError: if the seed is negative or too large to be stored, or of the recipe's salt only a hash is known.
+            ValueError: if the seed is negative or too large to be stored, or of the recipe's salt
+                only a hash is known.
         """
         if not 0 <= seed <= MAX_SEED:
             raise ValueError(f"a seed must be 0 to {MAX_SEED}, got {seed}")
@@ -102,7 +111,9 @@ class Candidate:
         self.draw_timing()
 
     def draw_timing(self) -> None:
-        """Draw duration and travel, and leave the capture rule the frames it needs after the intercept."""
+        """Draw duration and travel, and leave the capture rule the frames it needs after the
+        intercept.
+        """
         timing = draw_timing(self.kind.name, self.recipe.protocol, self.rng)
         shortest = timing.intercept_frame + 1 + CAPTURES[self.recipe.capture].hold_frames
         self.timing = replace(timing, length_frames=max(timing.length_frames, shortest))
@@ -128,7 +139,9 @@ class Candidate:
         motion = self.kind.sample(draw)
         self.motions = [motion]
         if fastest != 1.0 and isinstance(motion, PrescribedMotion):
-            self.motions = [Retimed(motion, speed, intercept_s, draw.intercept_s) for speed in split.path_speeds]
+            self.motions = [
+                Retimed(motion, speed, intercept_s, draw.intercept_s) for speed in split.path_speeds
+            ]
         return motion.launch(self.target).release_s <= max(0.0, window_s - MIN_OBSERVED_S)
 
     @property
@@ -140,7 +153,8 @@ class Candidate:
         allowed = [name for name in self.recipe.object_names if self.kind.suits(OBJECTS[name])]
         if not allowed:
             raise ValueError(
-                f"motion {self.kind.name!r} takes none of the objects {', '.join(self.recipe.object_names)}"
+                f"motion {self.kind.name!r} takes none of the objects "
+                f"{', '.join(self.recipe.object_names)}"
             )
         name = str(self.rng.choice(allowed))
         return OBJECTS[name].sample(self.rng)
@@ -148,10 +162,13 @@ class Candidate:
     def _draw_instruction(self) -> str:
         style = self.recipe.instructions
         reveals = self.rng.random() < 0.5 if style == "mixed" else style == "reveal"
-        return (REVEALING if reveals else NEUTRAL).format(object=self.target.name, phrase=self.kind.phrase)
+        return (REVEALING if reveals else NEUTRAL).format(
+            object=self.target.name, phrase=self.kind.phrase
+        )
 
     def accept(self, paths_w: Sequence[np.ndarray], home_pos_w: np.ndarray) -> EpisodeSpec | None:
-        """Draw the rest and return the episode, or None if the protocol asks for a screen and none can be placed.
+        """Draw the rest and return the episode, or None if the protocol asks for a screen and none
+        can be placed.
 
         Args:
             paths_w: (F, 3) path of the untouched target [m], world, of each of ``motions``.
@@ -179,23 +196,33 @@ class Candidate:
             target_path_w=paths_w[-1],
             fingerprint=self.recipe.fingerprint(),
         )
-        spec = randomize_appearance(furnish(spec), self.recipe.appearance)  # around the longest path
+        spec = randomize_appearance(
+            furnish(spec), self.recipe.appearance
+        )  # around the longest path
         played = self.recipe.split_definition.path_speeds.index(self.recipe.path_speed)
         spec = replace(spec, motion=self.motions[played], target_path_w=paths_w[played])
         return with_screen(spec) if PROTOCOLS[self.recipe.protocol].has_screen else spec
 
 
 def _attempt(recipe: Recipe, pending: dict[int, Candidate], threads: int) -> dict[int, EpisodeSpec]:
-    """Draw a motion for every pending candidate, roll all targets ahead together; return the episodes that fit."""
+    """Draw a motion for every pending candidate, roll all targets ahead together; return the
+    episodes that fit.
+    """
     drawn = [(i, candidate) for i, candidate in pending.items() if candidate.draw_motion()]
     worlds = [(candidate, motion) for _, candidate in drawn for motion in candidate.motions]
-    motions, targets = [motion for _, motion in worlds], [candidate.target for candidate, _ in worlds]
+    motions, targets = (
+        [motion for _, motion in worlds],
+        [candidate.target for candidate, _ in worlds],
+    )
     longest = [candidate.timing.path_frames for candidate, _ in worlds]
     ahead = RollAhead(motions, targets, longest, hand=recipe.hand, threads=threads)
     rows = iter(range(len(worlds)))
     rows_of = {i: list(islice(rows, len(candidate.motions))) for i, candidate in drawn}
     near = ahead.paths({row: c.timing.intercept_frame + 1 for i, c in drawn for row in rows_of[i]})
-    homes = {i: find_homes([near[row] for row in rows_of[i]], c.timing, c.fixtures, c.rng) for i, c in drawn}
+    homes = {
+        i: find_homes([near[row] for row in rows_of[i]], c.timing, c.fixtures, c.rng)
+        for i, c in drawn
+    }
     reached = [(i, candidate) for i, candidate in drawn if len(homes[i])]
     whole = ahead.paths({row: c.timing.path_frames for i, c in reached for row in rows_of[i]})
     paths = {i: [whole[row] for row in rows_of[i]] for i, _ in reached}

@@ -21,9 +21,10 @@ APPLIED_FORCES = mujoco.mjtState.mjSTATE_QFRC_APPLIED
 class RollAhead:
     """N untouched targets, whose paths are known as far as they have been asked for.
 
-    Prescribed targets follow their closed form, which the simulated drive reproduces; physical ones are simulated in
-    the scene they will be played in, with the hand parked. A target at which nothing pushes then goes the very same
-    way to the bit; in a scene without a hand, sliding ones would drift apart by centimetres.
+    Prescribed targets follow their closed form, which the simulated drive reproduces; physical ones
+    are simulated in the scene they will be played in, with the hand parked. A target at which
+    nothing pushes then goes the very same way to the bit; in a scene without a hand, sliding ones
+    would drift apart by centimetres.
     """
 
     def __init__(
@@ -53,7 +54,8 @@ class RollAhead:
         fields, rows = WorldFields(self._batch, scene), np.arange(len(physical))
         fields.reset(rows)
         self._force_w = [
-            fields.write_world(row, motions[i], targets[i], frames[i] - 1, ENVIRONMENT) for i, row in self._rows.items()
+            fields.write_world(row, motions[i], targets[i], frames[i] - 1, ENVIRONMENT)
+            for i, row in self._rows.items()
         ]
         parked = np.concatenate([PARKED_PALM_W, scene.hand.open_joints()])
         fields.qpos[:, scene.hand_qpos] = self._batch.bind("ctrl")[:] = parked
@@ -62,7 +64,8 @@ class RollAhead:
         self._paths_w = list(fields.qpos[:, None, self._position].copy())
 
     def paths(self, frames: dict[int, int]) -> dict[int, np.ndarray]:
-        """Return the paths of some targets over the wanted numbers of frames, which are simulated once.
+        """Return the paths of some targets over the wanted numbers of frames, which are simulated
+        once.
 
         Returns:
             (F, 3) positions [m], world, 0.05 s apart, the first at t = 0, of each target.
@@ -76,14 +79,22 @@ class RollAhead:
         }
 
     def _simulate(self, wanted: dict[int, int]) -> None:
-        """Roll rows of the batch until so many frames of each are known, in each call as far as all of them go."""
-        while missing := {row: more for row, n in wanted.items() if (more := n - len(self._paths_w[row])) > 0}:
+        """Roll rows of the batch until so many frames of each are known, in each call as far as all
+        of them go.
+        """
+        while missing := {
+            row: more for row, n in wanted.items() if (more := n - len(self._paths_w[row])) > 0
+        }:
             rows, frames = np.array(sorted(missing)), min(missing.values())
             control = np.zeros((len(rows), frames * SUBSTEPS, self._scene.model.nv))
             dof = self._scene.target_dof
             for k, row in enumerate(rows):
                 first = len(self._paths_w[row]) - 1
-                control[k, :, dof : dof + 3] = self._force_w[row][first : first + frames].reshape(-1, 3)
-            record = self._batch.rollout(control.shape[1], control, APPLIED_FORCES.value, record=("qpos",), ids=rows)
+                control[k, :, dof : dof + 3] = self._force_w[row][first : first + frames].reshape(
+                    -1, 3
+                )
+            record = self._batch.rollout(
+                control.shape[1], control, APPLIED_FORCES.value, record=("qpos",), ids=rows
+            )
             for row, qpos in zip(rows, record["qpos"][:, SUBSTEPS - 1 :: SUBSTEPS], strict=True):
                 self._paths_w[row] = np.concatenate([self._paths_w[row], qpos[:, self._position]])

@@ -1,8 +1,9 @@
-"""How long episodes last and how far the hand travels: drawn so that all kinds together give the paper's histograms.
+"""How long episodes last and how far the hand travels: drawn so that all kinds together give the
+paper's histograms.
 
-Motions that end soon (a throw lasts under a second) cannot fill the long bins, so the others must. The joint table of
-kind, duration bin and travel bin is the one closest to independence whose three margins are those of the benchmark
-(iterative proportional fitting).
+Motions that end soon (a throw lasts under a second) cannot fill the long bins, so the others must.
+The joint table of kind, duration bin and travel bin is the one closest to independence whose three
+margins are those of the benchmark (iterative proportional fitting).
 """
 
 import functools
@@ -11,7 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import CONTROL_DT, INTERCEPT_SPEED_M_S, MIN_WINDOW_FRAMES, WINDOW_FRACTION
+from dynahoi_lerobot.core.conventions import (
+    CONTROL_DT,
+    INTERCEPT_SPEED_M_S,
+    MIN_WINDOW_FRAMES,
+    WINDOW_FRACTION,
+)
 from dynahoi_lerobot.core.numerics import cbrt
 from dynahoi_lerobot.core.rules import PROTOCOLS
 from dynahoi_lerobot.motions import MOTIONS, Motion
@@ -48,7 +54,9 @@ class Timing:
 
     @property
     def path_frames(self) -> int:
-        """Frames over which the target's path must be known: the window, L control steps and the last state."""
+        """Frames over which the target's path must be known: the window, L control steps and the
+        last state.
+        """
         return self.window_frames + self.length_frames + 1
 
 
@@ -59,11 +67,15 @@ def window_frames(length_frames: int) -> int:
 
 def approach_frames(travel_m: float) -> int:
     """Return how many frames the hand needs for ``travel_m`` [m] at its fixed speed, at least 5."""
-    return max(MIN_APPROACH_FRAMES, int(np.ceil(travel_m / (INTERCEPT_SPEED_M_S * CONTROL_DT) - 1e-9)))
+    return max(
+        MIN_APPROACH_FRAMES, int(np.ceil(travel_m / (INTERCEPT_SPEED_M_S * CONTROL_DT) - 1e-9))
+    )
 
 
 def draw_timing(kind: str, protocol: str, rng: np.random.Generator) -> Timing:
-    """Draw duration and travel of one episode of a kind of motion under one of ``rules.PROTOCOLS``."""
+    """Draw duration and travel of one episode of a kind of motion under one of
+    ``rules.PROTOCOLS``.
+    """
     table = kind_table(kind)
     duration, travel = np.unravel_index(rng.choice(table.size, p=table.ravel()), table.shape)
     travel_m = _draw_travel(MOTIONS[kind], int(travel), rng)
@@ -76,16 +88,20 @@ def draw_timing(kind: str, protocol: str, rng: np.random.Generator) -> Timing:
 def _draw_travel(motion: type[Motion], travel_bin: int, rng: np.random.Generator) -> float:
     """Travel [m] in its bin, up to what the hand can cover before the motion's latest intercept.
 
-    Homes are spread evenly over the volume of the bin's shell: spread evenly over distance they would crowd around the
-    intercept, where a hand that sees nothing meets most targets.
+    Homes are spread evenly over the volume of the bin's shell: spread evenly over distance they
+    would crowd around the intercept, where a hand that sees nothing meets most targets.
     """
     low, high = BENCHMARK.travels.edges[travel_bin : travel_bin + 2]
     high = min(high, motion.max_approach_frames * INTERCEPT_SPEED_M_S * CONTROL_DT)
     return float(cbrt(rng.uniform(low**3, high**3)))
 
 
-def _draw_length(motion: type[Motion], duration_bin: int, approach: int, rng: np.random.Generator) -> int:
-    """L, uniform in its bin between what window, approach and grasp need and what the motion allows."""
+def _draw_length(
+    motion: type[Motion], duration_bin: int, approach: int, rng: np.random.Generator
+) -> int:
+    """L, uniform in its bin between what window, approach and grasp need and what the motion
+    allows.
+    """
     low, high = (int(edge) for edge in BENCHMARK.durations.edges[duration_bin : duration_bin + 2])
     shortest = next(length for length in itertools.count(low) if _fits(length, approach))
     return int(rng.integers(shortest, max(min(high, motion.max_frames + 1), shortest + 1)))
@@ -105,7 +121,9 @@ def kind_table(kind: str) -> np.ndarray:
 
 @functools.cache
 def _fitted_table() -> np.ndarray:
-    """(22, D, T) joint table whose margins are equal kinds and the benchmark's durations and travels."""
+    """(22, D, T) joint table whose margins are equal kinds and the benchmark's durations and
+    travels.
+    """
     table = np.stack([_feasible(kind) for kind in BENCHMARK_KINDS]).astype(float)
     shares = (np.ones(len(BENCHMARK_KINDS)), BENCHMARK.durations.shares, BENCHMARK.travels.shares)
     margins = [np.divide(share, sum(share)) for share in shares]

@@ -1,1 +1,3 @@
-"""The compiled MuJoCo model of all episodes, the per-world fields that set up one, furniture and screens."""
+"""The compiled MuJoCo model of all episodes, the per-world fields that set up one, furniture and
+screens.
+"""

@@ -31,16 +31,22 @@ def _noise(values: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def _rectangles(u: np.ndarray, v: np.ndarray, across: int, down: int, shift: float) -> np.ndarray:
-    """Rows of rectangles of slightly different tones with dark joints; every second row is shifted."""
+    """Rows of rectangles of slightly different tones with dark joints; every second row is
+    shifted.
+    """
     row = np.floor(v * down)
     x = u * across + shift * (row % 2)
     tone = _TONES[(7 * row + 3 * (np.floor(x) % across)).astype(int) % len(_TONES)]
-    joint = np.minimum(np.abs((x + 0.5) % 1 - 0.5) / across, np.abs((v * down + 0.5) % 1 - 0.5) / down)
+    joint = np.minimum(
+        np.abs((x + 0.5) % 1 - 0.5) / across, np.abs((v * down + 0.5) % 1 - 0.5) / down
+    )
     return np.where(joint < 0.008, 0.0, 0.55 + 0.45 * tone)
 
 
 def _planks(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    return _rectangles(u, v, 1, 6, 0.45) * (0.8 + 0.2 * _noise(_GRAIN, 0.125 * np.floor(8 * v) + v, 0.25 * u))
+    return _rectangles(u, v, 1, 6, 0.45) * (
+        0.8 + 0.2 * _noise(_GRAIN, 0.125 * np.floor(8 * v) + v, 0.25 * u)
+    )
 
 
 PATTERNS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
@@ -48,7 +54,9 @@ PATTERNS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
     "checker": lambda u, v: (np.floor(4 * u) + np.floor(4 * v)) % 2,
     "stripes": lambda u, v: np.clip(4 * _wave(5 * u) - 1.5, 0, 1),
     "bands": lambda u, v: np.clip(4 * _wave(4 * v) - 1.5, 0, 1),
-    "dots": lambda u, v: np.clip(20 * (np.hypot((4 * u) % 1 - 0.5, (4 * v) % 1 - 0.5) - 0.25), 0, 1),
+    "dots": lambda u, v: np.clip(
+        20 * (np.hypot((4 * u) % 1 - 0.5, (4 * v) % 1 - 0.5) - 0.25), 0, 1
+    ),
     "wood": lambda u, v: 0.6 * _wave(6 * v + 0.35 * _wave(2 * u)) + 0.4 * _noise(_GRAIN, u, v),
     "grain": lambda u, v: _noise(_GRAIN, u, v),
     "cloud": lambda u, v: 0.7 * _noise(_CLOUD, u, v) + 0.3 * _noise(_GRAIN, u, v),
@@ -58,11 +66,14 @@ PATTERNS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
     "tiles": lambda u, v: _rectangles(u, v, 3, 3, 0.0),
     "bricks": lambda u, v: _rectangles(u, v, 4, 8, 0.5),
 }
-"""Brightness, 0 to 1, of u (1, W) and v (H, 1) in the unit square, to be broadcast; multiplied by a colour."""
+"""Brightness, 0 to 1, of u (1, W) and v (H, 1) in the unit square, to be broadcast; multiplied by a
+colour."""
 
 
 def texture_pixels(pattern: str, contrast: float) -> np.ndarray:
-    """Return (128, 128, 3) uint8 grey pixels of a pattern; its darkest parts lack a share ``contrast``."""
+    """Return (128, 128, 3) uint8 grey pixels of a pattern; its darkest parts lack a share
+    ``contrast``.
+    """
     across = (np.arange(TEXTURE_SIZE) + 0.5) / TEXTURE_SIZE
     grey = 1.0 - contrast * (1.0 - PATTERNS[pattern](across[None], across[:, None]))
     pixels = np.round(255 * grey)[..., None].astype(np.uint8)
@@ -70,7 +81,13 @@ def texture_pixels(pattern: str, contrast: float) -> np.ndarray:
 
 
 SKIN_TONES = np.array(
-    [[0.95, 0.80, 0.69], [0.87, 0.68, 0.55], [0.72, 0.52, 0.39], [0.52, 0.36, 0.27], [0.36, 0.25, 0.2]]
+    [
+        [0.95, 0.80, 0.69],
+        [0.87, 0.68, 0.55],
+        [0.72, 0.52, 0.39],
+        [0.52, 0.36, 0.27],
+        [0.36, 0.25, 0.2],
+    ]
 )
 MOST_SATURATED_FLOOR, MOST_SATURATED_WALL = 0.5, 0.4
 LEAST_CONTRAST = 0.25
@@ -133,13 +150,19 @@ class Appearance:
 
     @classmethod
     def sample(cls, rng: np.random.Generator) -> Self:
-        """Draw patterns, colours and light; hues and saturations of target and surroundings overlap."""
+        """Draw patterns, colours and light; hues and saturations of target and surroundings
+        overlap.
+        """
         patterns = rng.choice(list(PATTERNS), size=4)
         hue = rng.random()
         slant = rng.uniform(-0.6, 0.6, 2)
         target_rgb = hsv(hue, rng.uniform(0.3, 1.0), rng.uniform(0.4, 1.0))
-        floor_rgb = hsv(_warm(rng.random()), MOST_SATURATED_FLOOR * rng.random(), rng.uniform(0.3, 0.8))
-        wall_rgb = hsv(rng.random(), MOST_SATURATED_WALL * rng.random() ** 1.5, rng.uniform(0.45, 0.9))
+        floor_rgb = hsv(
+            _warm(rng.random()), MOST_SATURATED_FLOOR * rng.random(), rng.uniform(0.3, 0.8)
+        )
+        wall_rgb = hsv(
+            rng.random(), MOST_SATURATED_WALL * rng.random() ** 1.5, rng.uniform(0.45, 0.9)
+        )
         box_rgb = hsv(hue + rng.uniform(0.15, 0.85), rng.uniform(0.1, 0.6), rng.uniform(0.4, 0.8))
         return cls(
             *(str(p) for p in patterns),
@@ -156,9 +179,11 @@ class Appearance:
 def set_apart(
     rgb: tuple[float, float, float], surfaces: Sequence[tuple[float, float, float]]
 ) -> tuple[float, float, float]:
-    """Return a colour, or the nearest relative of it that is ``LEAST_CONTRAST`` away from all ``surfaces``.
+    """Return a colour, or the nearest relative of it that is ``LEAST_CONTRAST`` away from all
+    ``surfaces``.
 
-    Relatives are lighter, darker, and in the end of the opposite hue; if none will do, the farthest.
+    Relatives are lighter, darker, and in the end of the opposite hue; if none will do, the
+    farthest.
     """
     color = np.asarray(rgb)
     relatives = [color, 0.6 * color + 0.4, 0.5 * color, color[[1, 2, 0]], color[[2, 0, 1]]]

@@ -1,6 +1,8 @@
-"""Room around the open hand: whether it waits and goes its way clear of boxes, for one reference hand.
+"""Room around the open hand: whether it waits and goes its way clear of boxes, for one reference
+hand.
 
-Which hand the recipe plays does not matter, so that every hand starts at the same place in the same episodes.
+Which hand the recipe plays does not matter, so that every hand starts at the same place in the same
+episodes.
 """
 
 import functools
@@ -17,18 +19,22 @@ from dynahoi_lerobot.scene.signed_distance import signed_distance
 
 REFERENCE_HAND = "capsule"
 GRID_M = 0.01
-"""Spacing of the points that stand for the hand; every point of it is within 9 mm of one (half a cell's diagonal)."""
+"""Spacing of the points that stand for the hand; every point of it is within 9 mm of one (half a
+cell's diagonal)."""
 POINT_CLEARANCE_M = 0.02
-"""Least distance of those points from a fixture. It leaves the open hand at least 1.1 cm, the thickness of a finger's
-flesh around its axis (0.85 to 0.95 cm), so that fingers do not touch the fixture as they begin to close."""
+"""Least distance of those points from a fixture. It leaves the open hand at least 1.1 cm, the
+thickness of a finger's flesh around its axis (0.85 to 0.95 cm), so that fingers do not touch the
+fixture as they begin to close."""
 WAY_CLEARANCE_M = 0.03
-"""Least distance of the palm centre from a fixture on its straight way to the intercept: the localisation radius. Where
-the target itself is nearer to its table, that distance."""
+"""Least distance of the palm centre from a fixture on its straight way to the intercept: the
+localisation radius. Where the target itself is nearer to its table, that distance."""
 WAY_POINTS = 64
 
 
 def open_reference_hand() -> tuple[Scene, mujoco.MjData]:
-    """Return the scene and kinematics of the open hand 1 m above the floor, with the target out of its view."""
+    """Return the scene and kinematics of the open hand 1 m above the floor, with the target out of
+    its view.
+    """
     scene = compile_scene(REFERENCE_HAND)
     data = mujoco.MjData(scene.model)
     data.qpos[scene.hand_qpos[:3]] = (0.0, 0.0, 1.0)
@@ -39,7 +45,8 @@ def open_reference_hand() -> tuple[Scene, mujoco.MjData]:
 
 
 def keeps_clear(homes: np.ndarray, intercept_w: np.ndarray, fixtures: Sequence[Box]) -> np.ndarray:
-    """Tell from which homes neither the waiting hand nor the palm centre on its way comes too near to a fixture.
+    """Tell from which homes neither the waiting hand nor the palm centre on its way comes too near
+    to a fixture.
 
     The fingers do on the last centimetres, where the target lies on a table.
 
@@ -57,20 +64,26 @@ def keeps_clear(homes: np.ndarray, intercept_w: np.ndarray, fixtures: Sequence[B
         left = homes[clear]
         way_m = box_distance(left[:, None] + share * (intercept_w - left)[:, None], box)  # (k, P)
         fits = way_m.min(axis=1) >= np.minimum(WAY_CLEARANCE_M, way_m[:, -1])
-        fits[fits] = box_distance(left[fits][:, None] + hand_points(), box).min(axis=1) > POINT_CLEARANCE_M
+        fits[fits] = (
+            box_distance(left[fits][:, None] + hand_points(), box).min(axis=1) > POINT_CLEARANCE_M
+        )
         clear[clear] = fits
     return clear
 
 
 def box_distance(points: np.ndarray, box: Box) -> np.ndarray:
-    """Return (...) signed distance [m] of points (..., 3) [m], world, to the surface of a box, negative inside."""
+    """Return (...) signed distance [m] of points (..., 3) [m], world, to the surface of a box,
+    negative inside.
+    """
     local = product(points - box.pos, quat_to_matrix(np.asarray(box.quat)))
     return signed_distance("box", local, np.asarray(box.half_size))
 
 
 @functools.cache
 def hand_points() -> np.ndarray:
-    """(P, 3) points all over the open reference hand [m], from the palm centre: grids in its geoms' bounding boxes."""
+    """(P, 3) points all over the open reference hand [m], from the palm centre: grids in its geoms'
+    bounding boxes.
+    """
     scene, data = open_reference_hand()
     points = []
     for geom in scene.hand_geoms:

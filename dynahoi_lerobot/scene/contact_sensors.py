@@ -56,7 +56,9 @@ def read_contacts(sensordata: np.ndarray) -> TargetContacts:
     sensors = sensordata.reshape(*sensordata.shape[:-1], N_SENSORS, SENSOR_SIZE)
     force = np.linalg.norm(sensors[..., FORCE], axis=-1)  # (..., 7)
     found = sensors[..., FOUND]
-    return TargetContacts(force[..., :PALM], force[..., PALM], found[..., ANY] - found[..., :ANY].sum(axis=-1))
+    return TargetContacts(
+        force[..., :PALM], force[..., PALM], found[..., ANY] - found[..., :ANY].sum(axis=-1)
+    )
 
 
 def add_contact_sensors(spec: mujoco.MjSpec) -> None:
@@ -70,7 +72,10 @@ def add_contact_sensors(spec: mujoco.MjSpec) -> None:
 
 def _add_sensor(spec: mujoco.MjSpec, name: str, other: str, kind: mujoco.mjtObj) -> None:
     sensor = spec.add_sensor(
-        name=name, type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=mujoco.mjtObj.mjOBJ_BODY, objname="target"
+        name=name,
+        type=mujoco.mjtSensor.mjSENS_CONTACT,
+        objtype=mujoco.mjtObj.mjOBJ_BODY,
+        objname="target",
     )
     if other:
         sensor.reftype, sensor.refname = kind, other

@@ -1,7 +1,8 @@
-"""Furniture of an episode: cabinets, shelves, tables, rugs, pictures on the walls, where they hide nothing.
+"""Furniture of an episode: cabinets, shelves, tables, rugs, pictures on the walls, where they hide
+nothing.
 
-A box around everything that matters - the target's path, the hand's home, the side camera, fixtures - stays empty.
-It is convex, so nothing outside it comes between a camera and a target inside it.
+A box around everything that matters - the target's path, the hand's home, the side camera, fixtures
+- stays empty. It is convex, so nothing outside it comes between a camera and a target inside it.
 """
 
 from collections.abc import Sequence
@@ -20,7 +21,8 @@ CLEARANCE_M = 0.35
 ATTEMPTS = 24
 Color = tuple[float, float, float]
 Part = tuple[tuple[float, float, float], tuple[float, float, float], Color]
-"""Lower corner and extent of a box [m], from the middle of the piece's back on the floor; its colour."""
+"""Lower corner and extent of a box [m], from the middle of the piece's back on the floor; its
+colour."""
 
 
 def _cabinet(rng: np.random.Generator, wood: Color, pale: Color, accent: Color) -> list[Part]:
@@ -36,7 +38,10 @@ def _cabinet(rng: np.random.Generator, wood: Color, pale: Color, accent: Color) 
 
 def _shelf(rng: np.random.Generator, wood: Color, pale: Color, accent: Color) -> list[Part]:
     width, depth, height = rng.uniform(0.6, 1.3), rng.uniform(0.25, 0.4), rng.uniform(1.0, 1.9)
-    boards = [((0.0, -width / 2, z), (depth, width, 0.04), wood) for z in np.linspace(0.05, height - 0.04, 3).tolist()]
+    boards = [
+        ((0.0, -width / 2, z), (depth, width, 0.04), wood)
+        for z in np.linspace(0.05, height - 0.04, 3).tolist()
+    ]
     books = ((0.05, -0.4 * width, boards[1][0][2] + 0.04), (0.6 * depth, 0.4 * width, 0.22), accent)
     sides = [((0.0, y, 0.0), (depth, 0.04, height), wood) for y in (-width / 2, width / 2 - 0.04)]
     return [*boards, *sides, books]
@@ -61,7 +66,10 @@ def _crate(rng: np.random.Generator, wood: Color, pale: Color, accent: Color) ->
 def _picture(rng: np.random.Generator, wood: Color, pale: Color, accent: Color) -> list[Part]:
     width, height, low = rng.uniform(0.5, 1.5), rng.uniform(0.4, 1.0), rng.uniform(0.9, 1.5)
     frame = ((0.0, -width / 2, low), (0.04, width, height), wood)
-    return [frame, ((0.04, 0.06 - width / 2, low + 0.06), (0.01, width - 0.12, height - 0.12), accent)]
+    return [
+        frame,
+        ((0.04, 0.06 - width / 2, low + 0.06), (0.01, width - 0.12, height - 0.12), accent),
+    ]
 
 
 def _rug(rng: np.random.Generator, wood: Color, pale: Color, accent: Color) -> list[Part]:
@@ -71,7 +79,8 @@ def _rug(rng: np.random.Generator, wood: Color, pale: Color, accent: Color) -> l
 
 
 PIECES = (_cabinet, _shelf, _table, _crate, _picture, _rug)
-"""Each draws one piece in the colours of the episode's wood, of what is pale and of what stands out."""
+"""Each draws one piece in the colours of the episode's wood, of what is pale and of what stands
+out."""
 ON_THE_WALL = (_picture,)
 
 
@@ -83,16 +92,19 @@ def furnish(spec: EpisodeSpec) -> EpisodeSpec:
     accent = hsv(rng.random(), rng.uniform(0.3, 0.9), rng.uniform(0.35, 0.9))
     sleeve_rgb = hsv(rng.random(), rng.uniform(0.0, 0.6), rng.uniform(0.15, 0.7))
     furniture = _place_pieces(rng, (wood, pale, accent), _kept_free(spec))
-    return replace(spec, appearance=replace(spec.appearance, furniture=furniture, sleeve_rgb=sleeve_rgb))
+    return replace(
+        spec, appearance=replace(spec.appearance, furniture=furniture, sleeve_rgb=sleeve_rgb)
+    )
 
 
 def _place_pieces(
     rng: np.random.Generator, colors: tuple[Color, Color, Color], free: list[np.ndarray]
 ) -> tuple[Solid, ...]:
-    """Boxes of pieces that overlap neither ``free`` boxes (2, 3) [m], lower and upper corner, nor each other.
+    """Boxes of pieces that overlap neither ``free`` boxes (2, 3) [m], lower and upper corner, nor
+    each other.
 
-    Half of the slots are filled before the hand, where its own camera looks, then half behind it, where the side camera
-    does.
+    Half of the slots are filled before the hand, where its own camera looks, then half behind it,
+    where the side camera does.
     """
     placed: list[Solid] = []
     taken: list[Sequence[Sequence[float]]] = [box.tolist() for box in free]
@@ -101,9 +113,15 @@ def _place_pieces(
             piece = PIECES[rng.integers(len(PIECES))]
             parts = _place(piece(rng, *colors), rng, ahead, on_wall=piece in ON_THE_WALL)
             low = [min(one.pos_w[axis] - one.half_size[axis] for one in parts) for axis in range(3)]
-            high = [max(one.pos_w[axis] + one.half_size[axis] for one in parts) for axis in range(3)]
+            high = [
+                max(one.pos_w[axis] + one.half_size[axis] for one in parts) for axis in range(3)
+            ]
             inside = max(map(abs, (*low[:2], *high[:2]))) <= ARENA_HALF_M + 1e-6
-            if inside and len(placed) + len(parts) <= slots and all(_apart((low, high), box) for box in taken):
+            if (
+                inside
+                and len(placed) + len(parts) <= slots
+                and all(_apart((low, high), box) for box in taken)
+            ):
                 placed += parts
                 taken.append((low, high))
             if len(placed) == slots:
@@ -117,8 +135,12 @@ def _apart(one: Sequence[Sequence[float]], other: Sequence[Sequence[float]]) -> 
     return any(low[axis] > other_high[axis] or high[axis] < other_low[axis] for axis in range(3))
 
 
-def _place(parts: list[Part], rng: np.random.Generator, ahead: float, *, on_wall: bool) -> list[Solid]:
-    """Turn a piece's back to a wall, at it or before it: left, right, or the one ahead, 1, or behind, -1."""
+def _place(
+    parts: list[Part], rng: np.random.Generator, ahead: float, *, on_wall: bool
+) -> list[Solid]:
+    """Turn a piece's back to a wall, at it or before it: left, right, or the one ahead, 1, or
+    behind, -1.
+    """
     wall = rng.choice(3, p=(0.6, 0.2, 0.2))
     away = 0.0 if on_wall or rng.random() < 0.3 else rng.uniform(0.0, 4.0)
     along = rng.uniform(-4.5, 4.5) if wall == 0 else rng.uniform(1.0, 5.5)
@@ -136,12 +158,16 @@ def _place(parts: list[Part], rng: np.random.Generator, ahead: float, *, on_wall
 
 
 def _kept_free(spec: EpisodeSpec) -> list[np.ndarray]:
-    """Boxes (2, 3) [m], lower and upper corner: all that cameras and target do, and each fixture."""
+    """Boxes (2, 3) [m], lower and upper corner: all that cameras and target do, and each
+    fixture.
+    """
     home = spec.home_pos_w
     points = np.vstack([spec.target_path_w, home, home + SIDE_CAMERA_POS_M])
     boxes = [np.array([points.min(axis=0), points.max(axis=0)])]
     for box in spec.motion.launch(spec.target).boxes:
-        reach = product(np.abs(quat_to_matrix(np.asarray(box.quat, float))), np.asarray(box.half_size))
+        reach = product(
+            np.abs(quat_to_matrix(np.asarray(box.quat, float))), np.asarray(box.half_size)
+        )
         boxes.append(np.array([box.pos - reach, box.pos + reach]))
     margin = np.array([[-CLEARANCE_M], [CLEARANCE_M]])
     return [box + margin for box in boxes]

@@ -1,4 +1,6 @@
-"""The compiled scene: the MuJoCo model and the addresses of hand, target, fixtures and surroundings."""
+"""The compiled scene: the MuJoCo model and the addresses of hand, target, fixtures and
+surroundings.
+"""
 
 import functools
 from collections import Counter
@@ -30,10 +32,11 @@ class Scene:
     Attributes:
         model: the MuJoCo model; never written to.
         hand: the embodiment in it.
-        slots: geom ids of the target's primitives, by shape; ``target_geoms``: of all of them, sorted.
+        slots: geom ids of the target's primitives, by shape; ``target_geoms``: of all of them,
+            sorted.
         target_body, target_qpos, target_dof: ids and first addresses of the free target.
-        hand_qpos: (18,) addresses in qpos, ``hand_dof``: (18,) addresses in qvel, in the order of ``HAND_NAMES`` and
-            of the actuators.
+        hand_qpos: (18,) addresses in qpos, ``hand_dof``: (18,) addresses in qvel, in the order of
+            ``HAND_NAMES`` and of the actuators.
         striker_body, striker_geom, striker_dof: the striker's ids and the address of its slide.
         floor_geom: geom id of the floor.
         wall_geoms: geom ids of the walls.
@@ -44,7 +47,8 @@ class Scene:
         palm_site, tip_sites: the hand's sites.
         camera: id of the ego camera.
         materials: material id of each pattern.
-        furniture_geoms: geom ids of the boxes that furniture is made of; ``screen_geom``: of the screen.
+        furniture_geoms: geom ids of the boxes that furniture is made of; ``screen_geom``: of the
+            screen.
         skin_geoms, sleeve_geoms: ids of what is drawn of the hand and does not collide.
         hand_geoms: ids of the hand's geoms that collide.
     """
@@ -62,13 +66,18 @@ class Scene:
         self.target_geoms = np.sort([geom for ids in self.slots.values() for geom in ids])
         self.target_body = model.body("target").id
         self.target_qpos, self.target_dof = int(target.qposadr[0]), int(target.dofadr[0])
-        self.hand_qpos, self.hand_dof = model.jnt_qposadr[joints].copy(), model.jnt_dofadr[joints].copy()
+        self.hand_qpos, self.hand_dof = (
+            model.jnt_qposadr[joints].copy(),
+            model.jnt_dofadr[joints].copy(),
+        )
         self.striker_body, self.striker_geom = model.body("striker").id, geoms["striker"]
         self.striker_dof = int(striker.dofadr[0])
         self.floor_geom = geoms["floor"]
         self.wall_geoms = tuple(geoms[name] for name in WALLS)
         self.distractor_geoms = {shape: geoms[f"distractor_{shape}"] for shape in DISTRACTORS}
-        self.furniture_geoms = tuple(geoms[f"furniture_{number}"] for number in range(FURNITURE_SLOTS))
+        self.furniture_geoms = tuple(
+            geoms[f"furniture_{number}"] for number in range(FURNITURE_SLOTS)
+        )
         self.screen_geom = geoms[SCREEN]
         self.box_geoms = tuple(geoms[name] for name in FIXTURE_BOXES)
         self.box_mocap = tuple(int(model.body(name).mocapid[0]) for name in FIXTURE_BOXES)
@@ -86,14 +95,16 @@ class Scene:
         """Return the geom id for each of the target's primitives, in their order.
 
         Raises:
-            ValueError: if the target has more primitives of a shape than there are slots; naming it, what it needs and
-                what there is.
+            ValueError: if the target has more primitives of a shape than there are slots; naming
+                it, what it needs and what there is.
         """
         needed = Counter(primitive.shape for primitive in target.primitives)
         if not needed <= Counter({shape: len(ids) for shape, ids in self.slots.items()}):
             raise ValueError(
-                f"object {target.name!r} needs {_listed(needed)}, but the compiled scene has slots for "
-                f"{_listed({shape: len(ids) for shape, ids in self.slots.items()})}; register it before the batch is "
+                f"object {target.name!r} needs {_listed(needed)}, but the compiled scene has "
+                f"slots for "
+                f"{_listed({shape: len(ids) for shape, ids in self.slots.items()})}; register it "
+                f"before the batch is "
                 "made, and let no draw of it have more primitives than the one from seed 0"
             )
         free = {shape: iter(ids) for shape, ids in self.slots.items()}

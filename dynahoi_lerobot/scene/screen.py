@@ -1,8 +1,9 @@
-"""The screen of protocol ``occluded``: an upright panel behind which the target vanishes before a hand can meet it.
+"""The screen of protocol ``occluded``: an upright panel behind which the target vanishes before a
+hand can meet it.
 
-The panel stands across the view, between the hand's camera and the target. It is as large as it must be to hide the
-target from home and from the straight way of a hand that meets it as early as it can. It is only drawn; hand and target
-keep clear of it nevertheless.
+The panel stands across the view, between the hand's camera and the target. It is as large as it
+must be to hide the target from home and from the straight way of a hand that meets it as early as
+it can. It is only drawn; hand and target keep clear of it nevertheless.
 """
 
 import itertools
@@ -23,13 +24,15 @@ from dynahoi_lerobot.scene.appearance import Solid, hsv
 from dynahoi_lerobot.scene.clearance import box_distance, hand_points, keeps_clear
 
 HIDDEN_FRAMES = (8, 7, 6)
-"""Frames for which a panel is made, in the order tried; as the target goes in and comes out, some may add to them."""
+"""Frames for which a panel is made, in the order tried; as the target goes in and comes out, some
+may add to them."""
 MAX_HIDDEN_FRAMES = 12
 """The target is hidden no longer than this, 0.6 s, before it can be met."""
 RETURN_FRAMES = (0, 1, 2, 3)
 """How many frames before the meeting the target may come out again, in the order tried."""
 MIN_SEEN_FRAMES, MIN_SEEN_BEFORE_FRAMES = 4, 3
-"""Least frames of the window in which a moving target is not hidden, and least of all frames before it vanishes."""
+"""Least frames of the window in which a moving target is not hidden, and least of all frames before
+it vanishes."""
 FAST_HAND_M_S = CONTROL_CLASSES[DEFAULT_CONTROL_CLASS].palm_speed_m_s
 """Speed of the hand that meets the target as early as it can [m/s]."""
 FEWEST_APPROACH_FRAMES = 2
@@ -43,13 +46,16 @@ CAMERA_ROOM_M = 0.04
 SPARE_M = 0.003
 """The panel hides a sphere that is larger by this than the one around the target."""
 INNER_SHARE = 0.8
-"""A sphere of so much of the grasp radius is taken to be part of the target, however it is turned."""
+"""A sphere of so much of the grasp radius is taken to be part of the target, however it is
+turned."""
 SLIVER_M = 0.006
-"""What shows of that sphere beside the panel does not count if it is narrower than this, about a pixel."""
+"""What shows of that sphere beside the panel does not count if it is narrower than this, about a
+pixel."""
 STEEPEST_RAD = 1.5
 """Lines of sight that are more oblique to the panel do not count."""
 CAMERA_CLEARANCE_M, TARGET_CLEARANCE_M, FIXTURE_CLEARANCE_M = 0.02, 0.01, 0.01
-"""Least distances of a screen from the camera, and from the surfaces of target, fixtures, string and striker."""
+"""Least distances of a screen from the camera, and from the surfaces of target, fixtures, string
+and striker."""
 HAND_POSES, STRING_POINTS = 8, 24
 
 
@@ -58,8 +64,8 @@ class Sight:
     """Who looks at what until the target can be met, at frame M.
 
     Attributes:
-        eyes_w: (2, M, 3) the camera at every frame [m], world: of the waiting hand, and of one that goes straight to
-            the meeting from control start on.
+        eyes_w: (2, M, 3) the camera at every frame [m], world: of the waiting hand, and of one that
+            goes straight to the meeting from control start on.
         target_w: (M, 3) the untouched target's centre [m], world.
         radius_m: of the sphere around the target.
         inner_m: of a sphere within it.
@@ -76,7 +82,9 @@ class Sight:
 
     @classmethod
     def until(cls, spec: EpisodeSpec, meeting: int) -> Self:
-        """Return the sight of an episode until frame ``meeting``, which lies in its control phase."""
+        """Return the sight of an episode until frame ``meeting``, which lies in its control
+        phase.
+        """
         share = (np.arange(meeting) - spec.window_frames) / (meeting - spec.window_frames)
         way = np.maximum(share, 0.0)[:, None] * (spec.target_path_w[meeting] - spec.home_pos_w)
         waiting = np.tile(spec.home_pos_w + CAMERA_POS, (meeting, 1))
@@ -91,11 +99,15 @@ class Sight:
         )
 
     def hidden(self, panel: Box) -> np.ndarray:
-        """Tell from which eye, at which frames, the panel hides all of the target for certain: (2, M) bool."""
+        """Tell from which eye, at which frames, the panel hides all of the target for certain: (2,
+        M) bool.
+        """
         return self._covered(panel, self.radius_m, 0.0)
 
     def lost(self, panel: Box) -> np.ndarray:
-        """Tell from which eye, at which frames, the panel may leave no pixel of the target: (2, M) bool."""
+        """Tell from which eye, at which frames, the panel may leave no pixel of the target: (2, M)
+        bool.
+        """
         return self._covered(panel, self.inner_m, SLIVER_M)
 
     def _covered(self, panel: Box, radius_m: float, sliver_m: float) -> np.ndarray:
@@ -105,17 +117,24 @@ class Sight:
 
 
 def with_screen(spec: EpisodeSpec) -> EpisodeSpec | None:
-    """Return the episode with a screen, or None if none can be placed; the screen draws from numbers of its own."""
+    """Return the episode with a screen, or None if none can be placed; the screen draws from
+    numbers of its own.
+    """
     panel = place_panel(spec)
     if panel is None:
         return None
     rng = np.random.default_rng([SCREEN_STREAM, spec.seed])
     color = hsv(rng.random(), rng.uniform(0.0, 0.6), rng.uniform(0.3, 0.9))
-    return replace(spec, appearance=replace(spec.appearance, screen=Solid("box", panel.half_size, panel.pos, color)))
+    return replace(
+        spec,
+        appearance=replace(spec.appearance, screen=Solid("box", panel.half_size, panel.pos, color)),
+    )
 
 
 def place_panel(spec: EpisodeSpec) -> Box | None:
-    """Return the first panel that hides the target as it should and stands in nobody's way, or None."""
+    """Return the first panel that hides the target as it should and stands in nobody's way, or
+    None.
+    """
     meeting = earliest_meeting(spec)
     sight = Sight.until(spec, meeting)
     for back, length in itertools.product(RETURN_FRAMES, HIDDEN_FRAMES):
@@ -123,13 +142,17 @@ def place_panel(spec: EpisodeSpec) -> Box | None:
         if min(behind[0], spec.window_frames) - sight.release_frame < MIN_SEEN_BEFORE_FRAMES:
             continue
         for panel in _panels(sight, behind):
-            if _vanishes(sight, panel, behind) and stands_clear(panel, spec, meeting, sight.radius_m):
+            if _vanishes(sight, panel, behind) and stands_clear(
+                panel, spec, meeting, sight.radius_m
+            ):
                 return panel
     return None
 
 
 def earliest_meeting(spec: EpisodeSpec) -> int:
-    """Return the first frame at which a hand of ``FAST_HAND_M_S`` that starts with the control phase is there."""
+    """Return the first frame at which a hand of ``FAST_HAND_M_S`` that starts with the control
+    phase is there.
+    """
     frames = np.arange(spec.horizon_frames) - spec.window_frames
     distance = np.linalg.norm(spec.target_path_w - spec.home_pos_w, axis=1)
     reached = (frames >= FEWEST_APPROACH_FRAMES) & (distance <= FAST_HAND_M_S * CONTROL_DT * frames)
@@ -137,7 +160,9 @@ def earliest_meeting(spec: EpisodeSpec) -> int:
 
 
 def _panels(sight: Sight, behind: np.ndarray) -> Iterator[Box]:
-    """Yield panels behind which the target is at the frames ``behind`` (n,), as small as each depth allows."""
+    """Yield panels behind which the target is at the frames ``behind`` (n,), as small as each depth
+    allows.
+    """
     eyes, target = sight.eyes_w[:, behind], sight.target_w[behind]
     nearest = eyes[..., 0].max() + CAMERA_ROOM_M
     farthest = target[:, 0].min() - sight.radius_m - TARGET_CLEARANCE_M
@@ -149,11 +174,15 @@ def _panels(sight: Sight, behind: np.ndarray) -> Iterator[Box]:
         low, high = low.min(axis=(0, 1)), high.max(axis=(0, 1))
         if (high - low).max() <= LARGEST_M and low[1] > FIXTURE_CLEARANCE_M:
             (y, z), (half_y, half_z) = (low + high) / 2, (high - low) / 2
-            yield Box((float(x), float(y), float(z)), (HALF_THICKNESS_M, float(half_y), float(half_z)))
+            yield Box(
+                (float(x), float(y), float(z)), (HALF_THICKNESS_M, float(half_y), float(half_z))
+            )
 
 
 def _vanishes(sight: Sight, panel: Box, behind: np.ndarray) -> bool:
-    """Tell whether both eyes lose the target at the frames ``behind``, never for too long, and saw it before."""
+    """Tell whether both eyes lose the target at the frames ``behind``, never for too long, and saw
+    it before.
+    """
     lost = sight.lost(panel)
     seen = (~lost[:, sight.release_frame : sight.window_frames]).sum(axis=1)
     return bool(
@@ -163,7 +192,9 @@ def _vanishes(sight: Sight, panel: Box, behind: np.ndarray) -> bool:
     )
 
 
-def silhouette(eyes_w: np.ndarray, centers_w: np.ndarray, x: float, radius_m: float) -> tuple[np.ndarray, np.ndarray]:
+def silhouette(
+    eyes_w: np.ndarray, centers_w: np.ndarray, x: float, radius_m: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Return what of an upright plane across x lies before a sphere.
 
     Args:
@@ -173,7 +204,8 @@ def silhouette(eyes_w: np.ndarray, centers_w: np.ndarray, x: float, radius_m: fl
         radius_m: of the sphere.
 
     Returns:
-        Lowest and highest y and z (..., 2) [m], world; infinite where the plane is not between the two.
+        Lowest and highest y and z (..., 2) [m], world; infinite where the plane is not between the
+        two.
     """
     offset = centers_w - eyes_w
     ahead, aside = offset[..., :1], offset[..., 1:]
@@ -187,7 +219,10 @@ def silhouette(eyes_w: np.ndarray, centers_w: np.ndarray, x: float, radius_m: fl
 
 def enclosing_radius_m(target: TargetObject) -> float:
     """Return the radius [m] of a sphere around the centre that holds all of an object."""
-    return max(norm(part.pos) + _EXTENTS[part.shape](np.asarray(part.half_size)) for part in target.primitives)
+    return max(
+        norm(part.pos) + _EXTENTS[part.shape](np.asarray(part.half_size))
+        for part in target.primitives
+    )
 
 
 _EXTENTS = {
@@ -201,10 +236,11 @@ _EXTENTS = {
 
 
 def stands_clear(panel: Box, spec: EpisodeSpec, meeting: int, radius_m: float) -> bool:
-    """Tell whether a panel across x stands in nobody's way, ``radius_m`` being that of a sphere around the target.
+    """Tell whether a panel across x stands in nobody's way, ``radius_m`` being that of a sphere
+    around the target.
 
-    All of the open hand keeps clear on its way to where a fast hand meets the target, at frame ``meeting``, and the
-    palm centre also on the way to the episode's intercept.
+    All of the open hand keeps clear on its way to where a fast hand meets the target, at frame
+    ``meeting``, and the palm centre also on the way to the episode's intercept.
     """
     home, launch = spec.home_pos_w, spec.motion.launch(spec.target)
     return (
@@ -218,9 +254,11 @@ def stands_clear(panel: Box, spec: EpisodeSpec, meeting: int, radius_m: float) -
 
 
 def _clear_of_hand(panel: Box, home_w: np.ndarray, goal_w: np.ndarray, points: np.ndarray) -> bool:
-    """Tell whether a panel is off the waiting hand, and off palm centre and camera on a straight way.
+    """Tell whether a panel is off the waiting hand, and off palm centre and camera on a straight
+    way.
 
-    The palm centre keeps as far from it as from fixtures; ``points`` (P, 3) of the hand must not be in it.
+    The palm centre keeps as far from it as from fixtures; ``points`` (P, 3) of the hand must not be
+    in it.
     """
     way = home_w + np.linspace(0.0, 1.0, HAND_POSES)[:, None] * (goal_w - home_w)
     return (
@@ -247,11 +285,15 @@ def _clear_of_striker(panel: Box, launch: Launch, frames: int) -> bool:
 
 
 def apart(panel: Box, other: Box, room_m: float) -> bool:
-    """Tell whether an upright box across x is so far [m] from another box, by the axes that may separate them."""
+    """Tell whether an upright box across x is so far [m] from another box, by the axes that may
+    separate them.
+    """
     turned = quat_to_matrix(np.asarray(other.quat, float))
     edges = np.cross(np.eye(3)[:, None], turned.T[None]).reshape(-1, 3)
     axes = np.concatenate([np.eye(3), turned.T, edges])
     axes = axes[np.linalg.norm(axes, axis=1) > 1e-6]
     reach = product(np.abs(axes), np.asarray(panel.half_size) + room_m)
     reach += product(np.abs(product(axes, turned)), np.asarray(other.half_size))
-    return bool((np.abs(product(axes, np.asarray(panel.pos) - np.asarray(other.pos))) > reach).any())
+    return bool(
+        (np.abs(product(axes, np.asarray(panel.pos) - np.asarray(other.pos))) > reach).any()
+    )

@@ -1,10 +1,13 @@
-"""Distance from fingertips to the target's surface: signed distances of the primitives, for all worlds at once."""
+"""Distance from fingertips to the target's surface: signed distances of the primitives, for all
+worlds at once.
+"""
 
 import numpy as np
 
 
 def signed_distance(shape: str, points: np.ndarray, half_size: np.ndarray) -> np.ndarray:
-    """Return the signed distance [m] of points to a primitive centred at the origin, negative inside.
+    """Return the signed distance [m] of points to a primitive centred at the origin, negative
+    inside.
 
     Args:
         shape: ``sphere``, ``capsule``, ``cylinder``, ``ellipsoid`` or ``box``.
@@ -50,4 +53,10 @@ def _from_slabs(excess: np.ndarray) -> np.ndarray:
     return outside + np.minimum(excess.max(axis=-1), 0.0)
 
 
-_DISTANCES = {"sphere": _sphere, "capsule": _capsule, "cylinder": _cylinder, "ellipsoid": _ellipsoid, "box": _box}
+_DISTANCES = {
+    "sphere": _sphere,
+    "capsule": _capsule,
+    "cylinder": _cylinder,
+    "ellipsoid": _ellipsoid,
+    "box": _box,
+}

@@ -58,7 +58,8 @@ class WorldFields:
         self._batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
 
     def copy(self, other: Self, i: int, qpos: np.ndarray) -> np.ndarray:
-        """Make the first rows look like row ``i`` of ``other`` with configurations (n, nq); return (n,) their numbers.
+        """Make the first rows look like row ``i`` of ``other`` with configurations (n, nq); return
+        (n,) their numbers.
 
         It needs ``forward`` then; what a simulation would need besides is not copied.
         """
@@ -72,10 +73,14 @@ class WorldFields:
     def finish(self, ids: np.ndarray) -> None:
         """Recompute what depends on the written masses and positions, then the kinematics."""
         self._batch.set_const(ids)
-        self.fields["eq_data"][ids, self._scene.tether_eq, :6] = self._anchors[ids]  # set_const moved the anchors
+        self.fields["eq_data"][ids, self._scene.tether_eq, :6] = self._anchors[
+            ids
+        ]  # set_const moved the anchors
         self._batch.forward(ids, stage=mujoco.mjtStage.mjSTAGE_POS.value)
 
-    def write_world(self, i: int, motion: Motion, target: TargetObject, frames: int, collides_with: int) -> np.ndarray:
+    def write_world(
+        self, i: int, motion: Motion, target: TargetObject, frames: int, collides_with: int
+    ) -> np.ndarray:
         """Fill row ``i`` with a target about to move; the row must have been reset.
 
         Args:
@@ -88,7 +93,10 @@ class WorldFields:
         Returns:
             (F, 25, 3) force [N] that drives it, see ``drive_for``.
         """
-        launch, (start_pos_w, start_velocity_w, force_w) = motion.launch(target), drive_for(motion, target, frames)
+        launch, (start_pos_w, start_velocity_w, force_w) = (
+            motion.launch(target),
+            drive_for(motion, target, frames),
+        )
         self._write_target(i, target, launch, collides_with)
         for slot in range(len(self._scene.box_geoms)):
             self._write_box(i, slot, launch.boxes[slot] if slot < len(launch.boxes) else None)
@@ -102,11 +110,16 @@ class WorldFields:
         return force_w
 
     def write_episode(self, i: int, spec: EpisodeSpec, collides_with: int) -> np.ndarray:
-        """Fill row ``i`` with an episode but for its hand; the row must have been reset. See ``write_world``."""
+        """Fill row ``i`` with an episode but for its hand; the row must have been reset. See
+        ``write_world``.
+        """
         force_w = self.write_world(i, spec.motion, spec.target, spec.horizon_frames, collides_with)
         if isinstance(spec.motion, PrescribedMotion):
             qpos, dof = self._scene.target_qpos, self._scene.target_dof
-            self.qpos[i, qpos + 3 : qpos + 7], self.qvel[i, dof + 5] = yaw_quat(spec.yaw_rad), spec.spin_rad_s
+            self.qpos[i, qpos + 3 : qpos + 7], self.qvel[i, dof + 5] = (
+                yaw_quat(spec.yaw_rad),
+                spec.spin_rad_s,
+            )
         self._write_appearance(i, spec.appearance)
         self._mocap_pos[i, self._scene.side_mocap] = spec.home_pos_w
         return force_w
@@ -125,8 +138,12 @@ class WorldFields:
                 rgba[i, geom, :3] = rgb
         rgba[i, np.concatenate([scene.hand_geoms, scene.skin_geoms]), :3] = appearance.skin_rgb
         rgba[i, scene.sleeve_geoms, :3] = appearance.sleeve_rgb
-        self.fields["light_dir"][i, 0] = np.asarray(appearance.light_dir) / norm(appearance.light_dir)
-        self.fields["light_diffuse"][i, 0] = appearance.light_level * np.asarray(appearance.light_rgb)
+        self.fields["light_dir"][i, 0] = np.asarray(appearance.light_dir) / norm(
+            appearance.light_dir
+        )
+        self.fields["light_diffuse"][i, 0] = appearance.light_level * np.asarray(
+            appearance.light_rgb
+        )
         self.fields["light_specular"][i, 0] = appearance.gloss
         shown = scene.target_geoms[rgba[i, scene.target_geoms, 3] > 0]
         rgba[i, shown, 3] = appearance.target_alpha
@@ -154,17 +171,26 @@ class WorldFields:
         visible = self.fields["geom_rgba"][i, geoms, 3] > 0
         self.fields["geom_contype"][i, geoms] = np.where(visible, collides_with, 0)
 
-    def _write_target(self, i: int, target: TargetObject, launch: Launch, collides_with: int) -> None:
+    def _write_target(
+        self, i: int, target: TargetObject, launch: Launch, collides_with: int
+    ) -> None:
         fields, geoms = self.fields, self._scene.target_geoms
         fields["geom_size"][i, geoms] = HIDDEN_SIZE
         fields["geom_pos"][i, geoms] = 0.0
         fields["geom_rgba"][i, geoms, 3] = 0.0
         for geom, primitive in zip(self._scene.slots_of(target), target.primitives, strict=True):
             fields["geom_size"][i, geom] = primitive.half_size
-            fields["geom_pos"][i, geom], fields["geom_quat"][i, geom] = primitive.pos, primitive.quat
+            fields["geom_pos"][i, geom], fields["geom_quat"][i, geom] = (
+                primitive.pos,
+                primitive.quat,
+            )
             fields["geom_rgba"][i, geom, 3] = 1.0
-        fields["geom_friction"][i, geoms, 0] = target.friction if launch.friction is None else launch.friction
-        fields["geom_friction"][i, self._scene.hand_geoms, 0] = target.friction  # of two frictions the greater counts
+        fields["geom_friction"][i, geoms, 0] = (
+            target.friction if launch.friction is None else launch.friction
+        )
+        fields["geom_friction"][i, self._scene.hand_geoms, 0] = (
+            target.friction
+        )  # of two frictions the greater counts
         fields["geom_solref"][i, geoms] = impact_solref(launch.restitution)
         fields["body_mass"][i, self._scene.target_body] = target.mass_kg
         fields["body_inertia"][i, self._scene.target_body] = target.inertia
@@ -185,7 +211,10 @@ class WorldFields:
         self.eq_active[i, eq] = anchor is not None
         self.fields["geom_rgba"][i, geom, 3] = float(anchor is not None)
         length = 0.0 if anchor is None else norm(np.asarray(anchor) - start)
-        self.fields["geom_pos"][i, geom], self.fields["geom_quat"][i, geom] = (0, 0, length / 2), (1, 0, 0, 0)
+        self.fields["geom_pos"][i, geom], self.fields["geom_quat"][i, geom] = (
+            (0, 0, length / 2),
+            (1, 0, 0, 0),
+        )
         self.fields["geom_size"][i, geom, 1] = max(length / 2, 1e-4)
         self._anchors[i] = np.zeros(6) if anchor is None else (0.0, 0.0, length, *anchor)
 
@@ -197,27 +226,36 @@ class WorldFields:
             return
         velocity = np.asarray(striker.velocity)
         yaw = float(arctan2(velocity[1], velocity[0]))
-        self.fields["body_pos"][i, body], self.fields["body_quat"][i, body] = striker.pos, yaw_quat(yaw)
+        self.fields["body_pos"][i, body], self.fields["body_quat"][i, body] = (
+            striker.pos,
+            yaw_quat(yaw),
+        )
         self.fields["geom_size"][i, geom, 0] = striker.radius_m
         self.fields["geom_solref"][i, geom] = impact_solref(striker.restitution)
         self.fields["body_mass"][i, body] = striker.mass_kg
         self.qvel[i, self._scene.striker_dof] = norm(velocity)
 
 
-def drive_for(motion: Motion, target: TargetObject, frames: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return how ``target`` starts, and the force that keeps it on the path of ``motion`` for F frames.
+def drive_for(
+    motion: Motion, target: TargetObject, frames: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return how ``target`` starts, and the force that keeps it on the path of ``motion`` for F
+    frames.
 
-    This is discrete inverse dynamics, exact at every physics step. A prescribed target is an ordinary free body under
-    an applied force. Semi-implicit Euler advances v' = v + h (F / m + g), x' = x + h v', so
-    F = m ((x'' - 2 x' + x) / h^2 - g) reproduces the path to rounding error. To let go of the target is to stop
-    applying the force: no jump in position or velocity.
+    This is discrete inverse dynamics, exact at every physics step. A prescribed target is an
+    ordinary free body under an applied force. Semi-implicit Euler advances v' = v + h (F / m + g),
+    x' = x + h v', so F = m ((x'' - 2 x' + x) / h^2 - g) reproduces the path to rounding error. To
+    let go of the target is to stop applying the force: no jump in position or velocity.
 
     Returns:
-        (3,) position [m] and (3,) velocity [m/s] at t = 0, world; and (F, 25, 3) applied force [N], world, in every
-        physics step of every frame, zero where the target is free, apart from the impulse that releases it.
+        (3,) position [m] and (3,) velocity [m/s] at t = 0, world; and (F, 25, 3) applied force [N],
+        world, in every physics step of every frame, zero where the target is free, apart from the
+        impulse that releases it.
     """
     if isinstance(motion, PrescribedMotion):
-        times = np.arange(-1, frames * SUBSTEPS + 1) * PHYSICS_DT  # from one physics step before the start
+        times = (
+            np.arange(-1, frames * SUBSTEPS + 1) * PHYSICS_DT
+        )  # from one physics step before the start
         path = motion.position(times)
         velocities = np.diff(path, axis=0) / PHYSICS_DT
         force = target.mass_kg * (np.diff(velocities, axis=0) / PHYSICS_DT - GRAVITY_W)
@@ -229,5 +267,7 @@ def drive_for(motion: Motion, target: TargetObject, frames: int) -> tuple[np.nda
         return start, velocity, np.zeros((frames, SUBSTEPS, 3))
     force = np.zeros((frames * SUBSTEPS, 3))
     force[:held] = -target.mass_kg * GRAVITY_W
-    force[held : held + 1] = target.mass_kg * velocity / PHYSICS_DT  # the impulse of letting go, in the first free step
+    force[held : held + 1] = (
+        target.mass_kg * velocity / PHYSICS_DT
+    )  # the impulse of letting go, in the first free step
     return start, np.zeros(3), force.reshape(frames, SUBSTEPS, 3)

@@ -18,13 +18,20 @@ from dynahoi_lerobot.dataset.manifest import Manifest, has_own_card
 from dynahoi_lerobot.dataset.paths import CARD_PATH, MANIFEST_PATH
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.verify.files import edited, file_problems, format_problems, unreadable, video_problems
+from dynahoi_lerobot.verify.files import (
+    edited,
+    file_problems,
+    format_problems,
+    unreadable,
+    video_problems,
+)
 from dynahoi_lerobot.verify.meta import meta_problems
 from dynahoi_lerobot.verify.replay import replay_problems, seed_problems
 from dynahoi_lerobot.verify.verdicts import verdict_problems
 
 SHOWN, LONGEST = 5, 600
-"""Findings of a claim that are reported, the rest are counted; characters of a finding that are shown."""
+"""Findings of a claim that are reported, the rest are counted; characters of a finding that are
+shown."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +39,8 @@ class Finding:
     """Something wrong with a dataset.
 
     Attributes:
-        check: the claim that it refutes: ``files``, ``format``, ``seeds``, ``verdicts`` or ``replay``.
+        check: the claim that it refutes: ``files``, ``format``, ``seeds``, ``verdicts`` or
+            ``replay``.
         message: what is wrong, where, and what was expected.
     """
 
@@ -40,7 +48,9 @@ class Finding:
     message: str
 
     def __str__(self) -> str:
-        """Return both on one line, with what cannot be printed escaped: it may come from a hostile dataset."""
+        """Return both on one line, with what cannot be printed escaped: it may come from a hostile
+        dataset.
+        """
         return printable(f"{self.check}: {self.message}"[:LONGEST])
 
 
@@ -50,7 +60,9 @@ class Options:
 
     root: Path = argument("dataset folder")
     replay: int | None = option(
-        None, "number of random episodes to regenerate from their seeds and compare, including images", whole(1, 10**9)
+        None,
+        "number of random episodes to regenerate from their seeds and compare, including images",
+        whole(1, 10**9),
     )
     json: Path | None = option(None, "also write the findings to this file")
 
@@ -61,11 +73,16 @@ def run(options: Options) -> int:
         episodes = Store(options.root).info.get("total_episodes")
     except ValueError:
         episodes = None  # a finding
-    with tqdm(total=episodes if isinstance(episodes, int) else None, unit="episode", disable=None) as bar:
+    with tqdm(
+        total=episodes if isinstance(episodes, int) else None, unit="episode", disable=None
+    ) as bar:
         findings = verify(options.root, replayed=options.replay, progress=bar.update, note=print)
     for finding in findings:
         print(finding)
-    print(f"{options.root}: {f'{len(findings)} findings' if findings else f'{episodes} episodes, no findings'}")
+    print(
+        f"{options.root}: "
+        f"{f'{len(findings)} findings' if findings else f'{episodes} episodes, no findings'}"
+    )
     if options.json:
         options.json.write_text(json.dumps([asdict(finding) for finding in findings], indent=2))
     return 1 if findings else 0
@@ -83,13 +100,15 @@ def verify(
 
     Args:
         root: the dataset's folder.
-        replayed: how many episodes are made again from their seeds and compared; they are drawn at random.
+        replayed: how many episodes are made again from their seeds and compared; they are drawn at
+            random.
         progress: called after each episode whose verdict was checked.
         note: told in a sentence what a replay found equal.
 
     Returns:
-        At most ``SHOWN`` findings per claim and a count of the rest; empty if all claims hold. If a table cannot be
-        read, that alone; if another tool has written the dataset, that, and what LeRobot's format finds wrong.
+        At most ``SHOWN`` findings per claim and a count of the rest; empty if all claims hold. If a
+        table cannot be read, that alone; if another tool has written the dataset, that, and what
+        LeRobot's format finds wrong.
 
     Raises:
         FileNotFoundError: if ``root`` holds no dataset.
@@ -106,7 +125,11 @@ def verify(
     if broken := _guarded("files", unreadable(store)):
         return broken + findings
     if (sentence := edited(store, manifest)) is not None or manifest is None:
-        return [*findings, Finding("files", str(sentence)), *_guarded("format", format_problems(store))]
+        return [
+            *findings,
+            Finding("files", str(sentence)),
+            *_guarded("format", format_problems(store)),
+        ]
     if CARD_PATH in manifest.files and not has_own_card(root, manifest):
         note(f"{CARD_PATH} is not the one that was written with the dataset, so it was not checked")
     findings += _guarded("format", chain(meta_problems(store, manifest), video_problems(store)))
@@ -134,7 +157,9 @@ def _verdicts(store: Store, recipe: Recipe | None, progress: Callable[[], object
 
 
 def _recipe(manifest: Manifest) -> Recipe | None:
-    """Return the recipe that the manifest names; None if it names none, or none that this project can read."""
+    """Return the recipe that the manifest names; None if it names none, or none that this project
+    can read.
+    """
     with suppress(ReadError), reading(Path(MANIFEST_PATH)):
         stored = manifest.provenance.get("recipe")
         return None if stored is None else decoded(Recipe, stored)
@@ -142,7 +167,9 @@ def _recipe(manifest: Manifest) -> Recipe | None:
 
 
 def drawn_evenly(store: Store, count: int, rng: np.random.Generator) -> list[int]:
-    """Return ``count`` indices of episodes (all if there are fewer), divided evenly among the kinds of motion."""
+    """Return ``count`` indices of episodes (all if there are fewer), divided evenly among the kinds
+    of motion.
+    """
     order = rng.permutation(store.episodes)
     turns: Counter[str] = Counter()
     ranked = []

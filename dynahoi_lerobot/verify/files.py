@@ -1,4 +1,5 @@
-"""First claim: the files are the ones that were made, or another tool has edited them and LeRobot reads them.
+"""First claim: the files are the ones that were made, or another tool has edited them and LeRobot
+reads them.
 
 Of an edited dataset only LeRobot's format is checked: what we add to it is gone or stale.
 """
@@ -14,7 +15,14 @@ from dynahoi_lerobot.core.reading import ReadError, open_table
 from dynahoi_lerobot.dataset.columns import BOOKKEEPING, bookkeeping_arrays, column_array
 from dynahoi_lerobot.dataset.episode_table import FACTS, EpisodeRow
 from dynahoi_lerobot.dataset.manifest import Manifest, changed_files, structure_problems
-from dynahoi_lerobot.dataset.paths import CODEBASE_VERSION, DATA_PATH, MANIFEST_PATH, TASKS_PATH, VIDEO_PATH, check_root
+from dynahoi_lerobot.dataset.paths import (
+    CODEBASE_VERSION,
+    DATA_PATH,
+    MANIFEST_PATH,
+    TASKS_PATH,
+    VIDEO_PATH,
+    check_root,
+)
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.video import stored_packets, stream_problem
 
@@ -26,7 +34,9 @@ EXACT_S = 1e-6
 
 
 def unreadable(store: Store) -> Iterator[str]:
-    """Yield a sentence for each table that cannot be read; without them nothing else can be checked."""
+    """Yield a sentence for each table that cannot be read; without them nothing else can be
+    checked.
+    """
     for path in (store.root / TASKS_PATH, *store.row_files(), *store.data_files()):
         try:
             store.table(path)
@@ -35,7 +45,9 @@ def unreadable(store: Store) -> Iterator[str]:
 
 
 def file_problems(store: Store, manifest: Manifest | None) -> Iterator[str]:
-    """Yield why LeRobot cannot open the folder, and files that are missing or not in the manifest, if there is one."""
+    """Yield why LeRobot cannot open the folder, and files that are missing or not in the manifest,
+    if there is one.
+    """
     try:
         check_root(store.root)
     except ValueError as error:
@@ -45,11 +57,19 @@ def file_problems(store: Store, manifest: Manifest | None) -> Iterator[str]:
 
 
 def edited(store: Store, manifest: Manifest | None) -> str | None:
-    """Return a sentence if another tool has rewritten files, and removed the manifest if there is none, else None."""
+    """Return a sentence if another tool has rewritten files, and removed the manifest if there is
+    none, else None.
+    """
     if manifest is None:
-        held = {name for path in store.row_files() for name in open_table(path, ()).schema_arrow.names}
+        held = {
+            name for path in store.row_files() for name in open_table(path, ()).schema_arrow.names
+        }
         lost = [name for name in FACTS if name not in held]
-        columns = f", and so are our columns of the episode table ({', '.join(lost[:3])}, ...)" if lost else ""
+        columns = (
+            f", and so are our columns of the episode table ({', '.join(lost[:3])}, ...)"
+            if lost
+            else ""
+        )
         told = f"{MANIFEST_PATH} is gone{columns}"
     elif changed := changed_files(store.root, manifest):
         more = f" and {len(changed) - SHOWN} more" if len(changed) > SHOWN else ""
@@ -58,7 +78,8 @@ def edited(store: Store, manifest: Manifest | None) -> str | None:
     else:
         return None
     return (
-        f"edited: {told}: {TOOL}, so only LeRobot's format can be checked; `dynahoi filter` copies episodes with "
+        f"edited: {told}: {TOOL}, so only LeRobot's format can be checked; `dynahoi filter` "
+        f"copies episodes with "
         "everything"
     )
 
@@ -93,22 +114,38 @@ def _info(store: Store) -> Iterator[str]:
 def _places(store: Store) -> Iterator[str]:
     """Yield files that the episode table names in vain."""
     for row in store.rows:
-        files = [store.data_path(row), *(store.video_path(row, key) for key in store.image_keys if store.has_video)]
-        yield from (f"{path} of episode {row['episode_index']} is missing" for path in files if not path.is_file())
+        files = [
+            store.data_path(row),
+            *(store.video_path(row, key) for key in store.image_keys if store.has_video),
+        ]
+        yield from (
+            f"{path} of episode {row['episode_index']} is missing"
+            for path in files
+            if not path.is_file()
+        )
 
 
 def _bookkeeping(store: Store) -> Iterator[str]:
     """Yield frames whose numbers, times or instruction are not their episode's."""
     tables = [store.table(path, list(BOOKKEEPING)) for path in store.data_files()]
-    columns = {key: np.concatenate([column_array(table, key)[:, 0] for table in tables]) for key in BOOKKEEPING}
+    columns = {
+        key: np.concatenate([column_array(table, key)[:, 0] for table in tables])
+        for key in BOOKKEEPING
+    }
     done = 0
     for row in store.rows:
         name, part = f"episode {row['episode_index']}", slice(done, done := done + row["length"])
         if (count := len(columns["index"][part])) != row["length"]:
             yield f"{name} has {count} frames, not {row['length']}"
             continue
-        task = store.tasks.index(row["tasks"][0]) if len(row["tasks"]) == 1 and row["tasks"][0] in store.tasks else -1
-        wanted = bookkeeping_arrays(row["length"], row["episode_index"], row["dataset_from_index"], task)
+        task = (
+            store.tasks.index(row["tasks"][0])
+            if len(row["tasks"]) == 1 and row["tasks"][0] in store.tasks
+            else -1
+        )
+        wanted = bookkeeping_arrays(
+            row["length"], row["episode_index"], row["dataset_from_index"], task
+        )
         for key, values in wanted.items():
             found = columns[key][part]
             if (wrong := np.flatnonzero(found != values)).size:
@@ -135,9 +172,15 @@ def video_problems(store: Store) -> Iterator[str]:
             said = [row[f"videos/{key}/{end}_timestamp"] for end in ("from", "to")]
             wanted = [start / CONTROL_HZ, (start + row["length"]) / CONTROL_HZ]
             if not np.allclose(said, wanted, rtol=0.0, atol=EXACT_S):
-                yield f"{name} has episode {row['episode_index']} at {wanted} s; the episode table says {said}"
+                yield (
+                    f"{name} has episode {row['episode_index']} at {wanted} s; the episode "
+                    f"table says {said}"
+                )
             if not all(keyed[start : start + 1]):
-                yield f"{name} has no key frame at frame {start}, where episode {row['episode_index']} begins"
+                yield (
+                    f"{name} has no key frame at frame {start}, where episode "
+                    f"{row['episode_index']} begins"
+                )
             start += row["length"]
         if len(keyed) != start:
             yield f"{name} holds {len(keyed)} frames; its episodes have {start}"

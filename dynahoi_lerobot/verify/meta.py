@@ -1,6 +1,7 @@
 """Second claim: everything below ``meta/`` follows from the episodes, and LeRobot reads them by it.
 
-The writer writes it again from the frames and images that are stored, and what it writes is compared.
+The writer writes it again from the frames and images that are stored, and what it writes is
+compared.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -31,39 +32,69 @@ from dynahoi_lerobot.dataset.writer import DatasetWriter
 from dynahoi_lerobot.sampling.recipe import Recipe
 
 EXACT = 1e-9
-"""Numbers that differ by less, of them or of 1, are the same: another processor adds up in another order."""
-IMAGE_LEVELS = {"mean": 4, "std": 8, "q10": 24, "q50": 24, "q90": 24, "q01": 48, "q99": 48, "min": 96, "max": 96}
-"""How far statistics of images before they were encoded may lie from those of the decoded ones [levels of 255], with
-crf 23 or less; the greatest seen are 1.7, 3.6, 10, 12, 6, 31, 14, 27 and 54. Video halves the resolution of colours."""
+"""Numbers that differ by less, of them or of 1, are the same: another processor adds up in another
+order."""
+IMAGE_LEVELS = {
+    "mean": 4,
+    "std": 8,
+    "q10": 24,
+    "q50": 24,
+    "q90": 24,
+    "q01": 48,
+    "q99": 48,
+    "min": 96,
+    "max": 96,
+}
+"""How far statistics of images before they were encoded may lie from those of the decoded ones
+[levels of 255], with crf 23 or less; the greatest seen are 1.7, 3.6, 10, 12, 6, 31, 14, 27 and 54.
+Video halves the resolution of colours."""
 SEGMENTATION, MOVED_SHARE = "_segmentation", 0.05
-"""How views of flat colours end, among which a quantile jumps from one to the next, and the share of their pixels that
-video may give another colour (0.023 are the most seen, at 32 px)."""
+"""How views of flat colours end, among which a quantile jumps from one to the next, and the share
+of their pixels that video may give another colour (0.023 are the most seen, at 32 px)."""
 CRF, CRF_DOUBLES = 23, 12
-"""Beyond this crf, this many steps double what is allowed (seen with crf 51: 7.8 for the mean, 17 for std)."""
+"""Beyond this crf, this many steps double what is allowed (seen with crf 51: 7.8 for the mean, 17
+for std)."""
 
 
 def meta_problems(store: Store, manifest: Manifest) -> Iterator[str]:
-    """Yield what the tables, the card and the manifest say otherwise than the writer makes of the stored episodes."""
-    with TemporaryDirectory() as scratch, _Again(Path(scratch) / "again", store, manifest) as writer:
+    """Yield what the tables, the card and the manifest say otherwise than the writer makes of the
+    stored episodes.
+    """
+    with (
+        TemporaryDirectory() as scratch,
+        _Again(Path(scratch) / "again", store, manifest) as writer,
+    ):
         opened: dict[str, Opened] = {}
         seen: dict[bytes, int] = {}
         for index, (row, table) in enumerate(store.stored_episodes()):
             episode = store.as_episode(row, table, images=True)
             yield from _repeats(episode, index, seen)
             writer.repeat(episode, row, episode_packets(store, row, opened))
-        made, own_card = writer.finish(manifest.provenance, manifest.yields), has_own_card(store.root, manifest)
+        made, own_card = (
+            writer.finish(manifest.provenance, manifest.yields),
+            has_own_card(store.root, manifest),
+        )
         yield from _facts(manifest, made, sum(not row["success"] for row in store.rows))
-        for name in sorted({*made.files, *writer.videos, *manifest.files} - (set(NOT_OURS) - set(made.files))):
+        for name in sorted(
+            {*made.files, *writer.videos, *manifest.files} - (set(NOT_OURS) - set(made.files))
+        ):
             stored, again = store.root / name, writer.root / name
             if name not in made.files and name not in writer.videos:
                 yield f"{name} is in the manifest, but no part of the dataset"
             elif name not in manifest.files:
                 yield f"{name} is not in the manifest"
             elif name.endswith(".parquet"):
-                yield from (f"{name}{problem}" for problem in _table(stored, again, writer.tolerance))
+                yield from (
+                    f"{name}{problem}" for problem in _table(stored, again, writer.tolerance)
+                )
             elif name.endswith(".json"):
-                yield from (f"{name}{problem}" for problem in _object(read_object(stored), read_object(again)))
-            elif made.files.get(name, listed := manifest.files[name]) != listed and (name != CARD_PATH or own_card):
+                yield from (
+                    f"{name}{problem}"
+                    for problem in _object(read_object(stored), read_object(again))
+                )
+            elif made.files.get(name, listed := manifest.files[name]) != listed and (
+                name != CARD_PATH or own_card
+            ):
                 yield f"{name} is not what the card's template makes of the dataset"
 
 
@@ -76,7 +107,9 @@ def _facts(said: Manifest, made: Manifest, failed: int) -> Iterator[str]:
         counts = {"kept": made.episodes, "failed": failed} | {
             name: told.get(name, 0) for name in ("missed", "rejected")
         }
-        if told != (counts := counts | {"tried": made.episodes + counts["missed"] + counts["rejected"]}):
+        if told != (
+            counts := counts | {"tried": made.episodes + counts["missed"] + counts["rejected"]}
+        ):
             yield f"{MANIFEST_PATH} says yields is {short(told)}; the episodes give {short(counts)}"
 
 
@@ -100,7 +133,8 @@ class _Unwritten(VideoFile):
 class _Again(DatasetWriter):
     """Writes a stored dataset again, but for its videos, whose paths are in ``videos``.
 
-    The manifest's plan tells its columns and settings; without one, the names of the columns and the recorded codec do.
+    The manifest's plan tells its columns and settings; without one, the names of the columns and
+    the recorded codec do.
     """
 
     def __init__(self, root: Path, store: Store, manifest: Manifest) -> None:
@@ -111,18 +145,26 @@ class _Again(DatasetWriter):
         else:
             columns = (*described_features(described).values(), *store.array_features)
             encoding, subtasks = store.encoding, LANGUAGE in described
-        super().__init__(root, columns, encoding, FileLimits(**plan.get("limits", {})), subtasks=subtasks)
+        super().__init__(
+            root, columns, encoding, FileLimits(**plan.get("limits", {})), subtasks=subtasks
+        )
         self.videos: set[str] = set()
         self._jumps: dict[int, dict[str, float]] = {}
 
     def repeat(self, episode: Episode, row: EpisodeRow, packets: dict[str, list[Packet]]) -> None:
-        """Append a stored episode; the statistics of its images are compared with its own row only."""
+        """Append a stored episode; the statistics of its images are compared with its own row
+        only.
+        """
         self.add(episode, packets)
         for key, found in self._image_stats.items():
             found[-1] = row_stats(row, key)
-        flat = {view: images for view, images in episode.images.items() if view.endswith(SEGMENTATION)}
+        flat = {
+            view: images for view, images in episode.images.items() if view.endswith(SEGMENTATION)
+        }
         self._jumps[len(self._jumps)] = {
-            f"stats/{IMAGE_PREFIX}{view}/{name}": most for view in flat for name, most in _jumps(flat[view]).items()
+            f"stats/{IMAGE_PREFIX}{view}/{name}": most
+            for view in flat
+            for name, most in _jumps(flat[view]).items()
         }
 
     def tolerance(self, column: str, episode: int) -> float:
@@ -131,32 +173,46 @@ class _Again(DatasetWriter):
         if key not in self._image_stats or not self._encoding.is_video:
             return 0.0
         doubled = max(0, self._encoding.crf - CRF) / CRF_DOUBLES
-        return IMAGE_LEVELS.get(statistic, 0) / 255 * 2**doubled + self._jumps.get(episode, {}).get(column, 0.0)
+        return IMAGE_LEVELS.get(statistic, 0) / 255 * 2**doubled + self._jumps.get(episode, {}).get(
+            column, 0.0
+        )
 
-    def _open_video(self, path: Path, add_stream: Callable[[OutputContainer], VideoStream]) -> VideoFile:
+    def _open_video(
+        self, path: Path, add_stream: Callable[[OutputContainer], VideoStream]
+    ) -> VideoFile:
         self.videos.add(path.relative_to(self.root).as_posix())
         return _Unwritten()
 
 
 def _jumps(images: np.ndarray) -> dict[str, float]:
-    """Return how far each quantile of images (T, H, W, 3) goes [1] if a share of their pixels changes."""
+    """Return how far each quantile of images (T, H, W, 3) goes [1] if a share of their pixels
+    changes.
+    """
     below = np.cumsum(level_counts(images), axis=1) / np.prod(images.shape[:3])  # (3, 256)
 
     def level(share: float) -> np.ndarray:
         return (below < np.clip(share, 1e-9, 1.0)).sum(axis=1)
 
     around = {
-        name: [level(share + moved) for moved in (-MOVED_SHARE, 0.0, MOVED_SHARE)] for name, share in SHARES.items()
+        name: [level(share + moved) for moved in (-MOVED_SHARE, 0.0, MOVED_SHARE)]
+        for name, share in SHARES.items()
     }
-    return {name: max((here - low).max(), (high - here).max()) / 255 for name, (low, here, high) in around.items()}
+    return {
+        name: max((here - low).max(), (high - here).max()) / 255
+        for name, (low, here, high) in around.items()
+    }
 
 
 def _repeats(episode: Episode, index: int, seen: dict[bytes, int]) -> Iterator[str]:
-    """Yield which earlier episode has the same facts, the same motion of hand and target, or the same images."""
+    """Yield which earlier episode has the same facts, the same motion of hand and target, or the
+    same images.
+    """
     parts = {
         "facts": repr(episode.meta).encode(),
         "motion": episode.state.tobytes() + episode.target_pose.tobytes(),
-        "images": b"".join(np.ascontiguousarray(images).tobytes() for images in episode.images.values()),
+        "images": b"".join(
+            np.ascontiguousarray(images).tobytes() for images in episode.images.values()
+        ),
     }
     for part, content in parts.items():
         if content and (before := seen.setdefault(sha256(content).digest(), index)) != index:
@@ -164,17 +220,24 @@ def _repeats(episode: Episode, index: int, seen: dict[bytes, int]) -> Iterator[s
 
 
 def _table(stored: Path, again: Path, tolerance: Callable[[str, int], float]) -> Iterator[str]:
-    """Yield how a table is other than it is made again; of images in it only the names are compared."""
+    """Yield how a table is other than it is made again; of images in it only the names are
+    compared.
+    """
     one, other = open_table(stored, ()).schema_arrow, open_table(again, ()).schema_arrow
     if not one.equals(other, check_metadata=True):
         yield f" has the columns {short(one)}; {short(other)} are made again"
         return
     if "length" in other.names:
-        for index, rows in enumerate(zip_longest(read_rows(stored), read_rows(again), fillvalue={})):
+        for index, rows in enumerate(
+            zip_longest(read_rows(stored), read_rows(again), fillvalue={})
+        ):
             for name in other.names:
                 found, wanted = (row.get(name) for row in rows)
                 if not alike(found, wanted, tolerance(name, rows[1].get("episode_index", -1))):
-                    yield f", row {index}: {name} is {short(found)}; {short(wanted)} follows from its frames and place"
+                    yield (
+                        f", row {index}: {name} is {short(found)}; {short(wanted)} follows "
+                        f"from its frames and place"
+                    )
         return
     found, wanted = read_table(stored), read_table(again)
     if len(found) != len(wanted):
@@ -183,7 +246,10 @@ def _table(stored: Path, again: Path, tolerance: Callable[[str, int], float]) ->
     for name in other.names:
         pair = [table[name] for table in (found, wanted)]
         if name.startswith(IMAGE_PREFIX):
-            pair = [pc.call_function("struct_field", [cells], pc.StructFieldOptions("path")) for cells in pair]
+            pair = [
+                pc.call_function("struct_field", [cells], pc.StructFieldOptions("path"))
+                for cells in pair
+            ]
         if not pair[0].equals(pair[1]):
             row = next(i for i, (one, other) in enumerate(zip(*pair, strict=True)) if one != other)
             yield f", row {row}: {name} is {short(pair[0][row])}, not {short(pair[1][row])}"

@@ -34,13 +34,15 @@ AT_ONCE = 64
 PLAYED = ("first_plan",)
 """Constants of an episode that depend on who plays it."""
 MEAN_LEVELS, BLOCK_LEVELS = 2.0, {12: 16.0, 2: 64.0}
-"""Greatest mean difference of an image, and of a square of so many pixels wherever it lies [levels of 255]."""
+"""Greatest mean difference of an image, and of a square of so many pixels wherever it lies [levels
+of 255]."""
 
 
 def seed_problems(
     store: Store, manifest: Manifest, recipe: Recipe | None, note: Callable[[str], object]
 ) -> Iterator[str]:
-    """Yield seeds that are not the plan's, and facts and constants of episodes that their seeds do not give.
+    """Yield seeds that are not the plan's, and facts and constants of episodes that their seeds do
+    not give.
 
     ``note`` is told in a sentence why that could not be checked, if so.
     """
@@ -51,24 +53,36 @@ def seed_problems(
     if sorted(seed % REDRAW_STRIDE for seed in seeds) != [plan["seed"] + slot for slot in kept]:
         yield f"the seeds are not those of {len(kept)} episodes from seed {plan['seed']} on"
     if plan["code"] != code_fingerprint():
-        return note(f"made by other code ({plan['code']}), so nothing else was compared with the seeds")
+        return note(
+            f"made by other code ({plan['code']}), so nothing else was compared with the seeds"
+        )
     if recipe.salt:
-        return note("its episodes are hidden behind a salt, so nothing else was compared with the seeds")
+        return note(
+            "its episodes are hidden behind a salt, so nothing else was compared with the seeds"
+        )
     batch, episodes = WorldBatch(recipe, 1), store.stored_episodes()
     for first in range(0, len(seeds), AT_ONCE):
-        for offset, spec in enumerate(sample_specs(recipe, seeds[first : first + AT_ONCE], threads=0)):
+        for offset, spec in enumerate(
+            sample_specs(recipe, seeds[first : first + AT_ONCE], threads=0)
+        ):
             row, table = next(episodes)
             stored = store.as_episode(row, table, images=False)
             job = Job(0, spec, 0, stored.meta.attempts)
-            meta = episode_meta(job, recipe.capture, recipe.control_class, recipe.actor or recipe.expert)
+            meta = episode_meta(
+                job, recipe.capture, recipe.control_class, recipe.actor or recipe.expert
+            )
             constants = episode_constants(batch, spec, None)
             wanted = {name: value for name, value in constants.items() if name not in PLAYED}
             problems = differences(vars(meta) | wanted, vars(stored.meta) | vars(stored))
-            yield from (f"episode {first + offset} has by its seed {problem}" for problem in problems)
+            yield from (
+                f"episode {first + offset} has by its seed {problem}" for problem in problems
+            )
 
 
 def differences(made: Mapping[str, Any], stored: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what was made otherwise than it is stored: text and whole numbers exactly, others up to ``TOLERANCE``."""
+    """Yield what was made otherwise than it is stored: text and whole numbers exactly, others up to
+    ``TOLERANCE``.
+    """
     for name, one in made.items():
         other = stored[name]
         if one is None or other is None or isinstance(one, str | int):
@@ -79,20 +93,28 @@ def differences(made: Mapping[str, Any], stored: Mapping[str, Any]) -> Iterator[
         if values.shape != np.shape(other):
             yield f"{name} of shape {values.shape}; stored is {np.shape(other)}"
         elif not (apart := np.abs(values.astype(float) - other)).max(initial=0.0) <= TOLERANCE:
-            first = int((~(apart.reshape(len(apart), -1).max(axis=1) <= TOLERANCE)).argmax()) if apart.ndim else 0
+            first = (
+                int((~(apart.reshape(len(apart), -1).max(axis=1) <= TOLERANCE)).argmax())
+                if apart.ndim
+                else 0
+            )
             yield f"another {name} from row {first} on, up to {float(apart.max()):.2g} apart"
 
 
 def replay_problems(
     store: Store, indices: list[int], recipe: Recipe | None, note: Callable[[str], object]
 ) -> Iterator[str]:
-    """Play episodes again by the manifest's recipe, None if it cannot be read, and yield what differs.
+    """Play episodes again by the manifest's recipe, None if it cannot be read, and yield what
+    differs.
 
     ``note`` is told in a sentence what was found equal.
     """
     made_with, here = Manifest.read(store.root).provenance.get("code"), code_fingerprint()
     if recipe is None or made_with != here:
-        yield f"the dataset was made by other code ({made_with}, here is {here}); only the same code makes it again"
+        yield (
+            f"the dataset was made by other code ({made_with}, here is {here}); only the same "
+            f"code makes it again"
+        )
         return
     videos = equal = 0
     for index in indices:
@@ -106,7 +128,10 @@ def replay_problems(
         for key in store.image_keys:
             view = made.images.get(key.removeprefix(IMAGE_PREFIX))
             if view is None or view.shape[:2] != (row["length"], store.features[key]["shape"][0]):
-                yield f"episode {index} replays to other images of {key}: {None if view is None else view.shape}"
+                yield (
+                    f"episode {index} replays to other images of {key}: "
+                    f"{None if view is None else view.shape}"
+                )
                 continue
             again, stored_images, same = _both(view, store, row, table, key)
             videos, equal = videos + 1, equal + same
@@ -124,10 +149,11 @@ def _content(episode: Episode) -> dict[str, object]:
 def _both(
     made: np.ndarray, store: Store, row: EpisodeRow, table: pa.Table, key: str
 ) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Return an episode's images of a view, (T, H, W, 3) uint8, as they are made again and as they are stored.
+    """Return an episode's images of a view, (T, H, W, 3) uint8, as they are made again and as they
+    are stored.
 
-    What is made again is encoded with the codec's recorded settings and decoded, too. The third value tells whether
-    both are stored in the same bytes.
+    What is made again is encoded with the codec's recorded settings and decoded, too. The third
+    value tells whether both are stored in the same bytes.
     """
     stored = store.images(row, table, key)
     if not store.has_video:
@@ -135,11 +161,15 @@ def _both(
     encoding, start = store.encoding, round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ)
     with TemporaryDirectory() as folder:
         again = Path(folder) / "again.mp4"
-        video = VideoFile(again, partial(encoded_stream, encoding=encoding, image_size=made.shape[1]))
+        video = VideoFile(
+            again, partial(encoded_stream, encoding=encoding, image_size=made.shape[1])
+        )
         video.append(encode(made, encoding))
         video.close()
         packets = islice(stored_packets(store.video_path(row, key)), start, start + row["length"])
-        same = [bytes(packet) for packet in stored_packets(again)] == [bytes(packet) for packet in packets]
+        same = [bytes(packet) for packet in stored_packets(again)] == [
+            bytes(packet) for packet in packets
+        ]
         return np.stack(list(decode(again))), stored, same
 
 
@@ -150,9 +180,15 @@ def _apart(made: np.ndarray, stored: np.ndarray) -> str | None:
     for frame, (one, other) in enumerate(zip(made, stored, strict=True)):
         apart = cv2.absdiff(one, other).mean(axis=2, dtype=np.float32)  # (H, W)
         found = {"all": (float(apart.mean()), MEAN_LEVELS)}
-        found |= {f"{n} x {n}": (float(cv2.blur(apart, (n, n)).max()), most) for n, most in BLOCK_LEVELS.items()}
+        found |= {
+            f"{n} x {n}": (float(cv2.blur(apart, (n, n)).max()), most)
+            for n, most in BLOCK_LEVELS.items()
+        }
         for where, (levels, most) in found.items():
             if levels > most:
-                told = f"{levels:.1f} of 255 levels in the mean of {where} px of frame {frame}; {most:g} are allowed"
+                told = (
+                    f"{levels:.1f} of 255 levels in the mean of {where} px of frame {frame}; "
+                    f"{most:g} are allowed"
+                )
                 return f"shows other images than are made again: {told}"
     return None

@@ -1,7 +1,8 @@
 """Fourth claim: verdicts and metrics follow from the columns.
 
-States give fingertips; poses and solids give distances; distances give localisation and contacts; these and the capture
-rule give the verdict. Metrics are computed from these columns whenever they are asked for, so nothing else is stored.
+States give fingertips; poses and solids give distances; distances give localisation and contacts;
+these and the capture rule give the verdict. Metrics are computed from these columns whenever they
+are asked for, so nothing else is stored.
 """
 
 from collections.abc import Iterator
@@ -26,17 +27,20 @@ TIP_TOLERANCE = 2e-5
 START_TOLERANCE_M = 1e-5
 """At the start ``palm_distance`` is the distance itself, up to float32."""
 ABOVE_M = 0.005
-"""A least distance exceeds the distance at the end of its step by at most this: where contact releases the target, the
-step is simulated twice (0.002 m seen)."""
+"""A least distance exceeds the distance at the end of its step by at most this: where contact
+releases the target, the step is simulated twice (0.002 m seen)."""
 BELOW_M = 0.006
-"""How far a least distance lies below the straight line between two frames, beyond what changing velocities explain."""
+"""How far a least distance lies below the straight line between two frames, beyond what changing
+velocities explain."""
 PALM_ONLY = ("touched", "missed")
-"""Stage of a failure in which only the palm touched the target, stored and as the stored columns tell it: that the palm
-did is not among them, and only a replay can say."""
+"""Stage of a failure in which only the palm touched the target, stored and as the stored columns
+tell it: that the palm did is not among them, and only a replay can say."""
 
 
 def verdict_problems(episode: Episode, hand: str | None) -> Iterator[str]:
-    """Yield columns that do not follow from those before them; where no ``hand`` is known, fingertips are believed."""
+    """Yield columns that do not follow from those before them; where no ``hand`` is known,
+    fingertips are believed.
+    """
     if problem := not_finite(episode):
         yield problem
         return
@@ -52,9 +56,14 @@ def verdict_problems(episode: Episode, hand: str | None) -> Iterator[str]:
     latency = CONTROL_CLASSES[episode.meta.control_class].latency_frames
     acting = np.arange(len(episode)) + latency >= episode.meta.window_frames  # (T,)
     if not np.array_equal(episode.phase, one_hot_phase(acting)):
-        yield f"phase is not that of an episode that is observed for {episode.meta.window_frames} frames"
+        yield (
+            f"phase is not that of an episode that is observed for "
+            f"{episode.meta.window_frames} frames"
+        )
     commanded = np.concatenate([[False], acting[:-1]])  # (T,) in the step that ends at the frame
-    localized = np.maximum.accumulate((episode.palm_distance < rule.localization_radius_m) & commanded)
+    localized = np.maximum.accumulate(
+        (episode.palm_distance < rule.localization_radius_m) & commanded
+    )
     before = np.zeros(episode.meta.window_frames, bool)
     flags = {
         "localized": localized,
@@ -64,7 +73,10 @@ def verdict_problems(episode: Episode, hand: str | None) -> Iterator[str]:
     for name, wanted in flags.items():
         if (wrong := np.flatnonzero(getattr(episode, name) != wanted)).size:
             frame = int(wrong[0])
-            yield f"{name} is {not wanted[frame]} at frame {frame}; rule {rule.name!r} says {wanted[frame]}"
+            yield (
+                f"{name} is {not wanted[frame]} at frame {frame}; rule {rule.name!r} says "
+                f"{wanted[frame]}"
+            )
     for name, wanted in (("success", rule.success(track)), ("stage", rule.stage(track))):
         found = getattr(episode, name)
         if found != wanted and (found, wanted) != PALM_ONLY:
@@ -74,18 +86,28 @@ def verdict_problems(episode: Episode, hand: str | None) -> Iterator[str]:
 def _fingertips(episode: Episode, hand: str) -> str | None:
     """Find fingertips that are not where forward kinematics puts them."""
     apart = np.abs(fingertip_poses(episode.state, hand) - episode.fingertips)
-    apart = np.minimum(apart, np.abs(apart - 2 * np.pi)).max(axis=1)  # a rotation vector of half a turn has two signs
+    apart = np.minimum(apart, np.abs(apart - 2 * np.pi)).max(
+        axis=1
+    )  # a rotation vector of half a turn has two signs
     if apart.max() <= TIP_TOLERANCE:
         return None
     frame = int(apart.argmax())
-    return f"fingertips at frame {frame} are {apart[frame]:.2g} m or rad off the kinematics of the state"
+    return (
+        f"fingertips at frame {frame} are {apart[frame]:.2g} m or rad off the kinematics of "
+        f"the state"
+    )
 
 
 def fingertip_poses(state: np.ndarray, hand: str) -> np.ndarray:
-    """Return (T, 30), position [m] and rotation vector [rad] of each fingertip, of (T, 18) states of a hand."""
+    """Return (T, 30), position [m] and rotation vector [rad] of each fingertip, of (T, 18) states
+    of a hand.
+    """
     scene = compile_scene(hand)
     data = mujoco.MjData(scene.model)
-    position, rotation = np.empty((len(state), len(FINGERS), 3)), np.empty((len(state), len(FINGERS), 3, 3))
+    position, rotation = (
+        np.empty((len(state), len(FINGERS), 3)),
+        np.empty((len(state), len(FINGERS), 3, 3)),
+    )
     for frame, angles in enumerate(state):
         data.qpos[scene.hand_qpos] = angles
         mujoco.mj_kinematics(scene.model, data)
@@ -95,7 +117,9 @@ def fingertip_poses(state: np.ndarray, hand: str) -> np.ndarray:
 
 
 def _palm(episode: Episode) -> str | None:
-    """Find a least distance of a step that is larger than at its end, or smaller than on the straight line."""
+    """Find a least distance of a step that is larger than at its end, or smaller than on the
+    straight line.
+    """
     offset = episode.target_pose[:, :3].astype(float) - episode.palm_pos_h
     distance, found = np.linalg.norm(offset, axis=1), episode.palm_distance
     straight = segment_distance(np.zeros((1, 3)), offset)[0]  # (T - 1,)
@@ -104,29 +128,43 @@ def _palm(episode: Episode) -> str | None:
     frame = int(np.maximum(found - high, low - found).argmax())
     if low[frame] <= found[frame] <= high[frame]:
         return None
-    return f"palm_distance at frame {frame} is {found[frame]:.4f} m; poses give {low[frame]:.4f} to {high[frame]:.4f} m"
+    return (
+        f"palm_distance at frame {frame} is {found[frame]:.4f} m; poses give {low[frame]:.4f} "
+        f"to {high[frame]:.4f} m"
+    )
 
 
 def _bend(episode: Episode) -> np.ndarray:
-    """Return (T - 1,) how far from a straight line changes of velocity may have led target and palm [m].
+    """Return (T - 1,) how far from a straight line changes of velocity may have led target and palm
+    [m].
 
-    A change v of velocity leads at most v * 0.05 s / 4 astray. The target's is stored; the palm's, which is not, is
-    at most twice the change of its mean velocity from a frame to the next or from the one before.
+    A change v of velocity leads at most v * 0.05 s / 4 astray. The target's is stored; the palm's,
+    which is not, is at most twice the change of its mean velocity from a frame to the next or from
+    the one before.
     """
     target = np.linalg.norm(np.diff(episode.target_velocity[:, :3], axis=0), axis=1)
     steps = np.diff(episode.palm_pos_h, axis=0)  # (T - 1, 3)
-    turns = np.linalg.norm(np.diff(steps, axis=0, prepend=steps[:1], append=steps[-1:]), axis=1)  # (T,)
+    turns = np.linalg.norm(
+        np.diff(steps, axis=0, prepend=steps[:1], append=steps[-1:]), axis=1
+    )  # (T,)
     return CONTROL_DT / 4 * target + np.maximum(turns[:-1], turns[1:]) / 2
 
 
 def tip_distances(episode: Episode) -> np.ndarray:
-    """Return (T, 5), signed distance of each fingertip to the solids of the object [m], negative inside."""
+    """Return (T, 5), signed distance of each fingertip to the solids of the object [m], negative
+    inside.
+    """
     pads = episode.fingertips.reshape(-1, len(FINGERS), 6)[..., :3].astype(float)
     pose = episode.target_pose.astype(float)
-    # a row vector times a rotation is turned back: from the world's frame into the object's, then into the solid's
-    local = (pads - pose[:, None, :3]) @ quat_to_matrix(pose[:, 3:] / np.linalg.norm(pose[:, 3:], axis=1)[:, None])
+    # a row vector times a rotation is turned back: from the world's frame into the object's, then
+    # into the solid's
+    local = (pads - pose[:, None, :3]) @ quat_to_matrix(
+        pose[:, 3:] / np.linalg.norm(pose[:, 3:], axis=1)[:, None]
+    )
     distances = [
-        signed_distance(s.shape, (local - s.pos) @ quat_to_matrix(np.array(s.quat)), np.array(s.half_size))
+        signed_distance(
+            s.shape, (local - s.pos) @ quat_to_matrix(np.array(s.quat)), np.array(s.half_size)
+        )
         for s in from_table(episode.object_primitives)
     ]
     return np.min(distances, axis=0)
@@ -139,7 +177,10 @@ def _tips(episode: Episode, tips: np.ndarray) -> str | None:
     if apart.max() <= TIP_TOLERANCE:
         return None
     frame, found = int(apart.argmax()), episode.fingertip_distance
-    return f"fingertip_distance at frame {frame} is {found[frame]:.4f} m; object and poses give {wanted[frame]:.4f} m"
+    return (
+        f"fingertip_distance at frame {frame} is {found[frame]:.4f} m; object and poses give "
+        f"{wanted[frame]:.4f} m"
+    )
 
 
 def _contacts(episode: Episode, rule: CaptureRule, tips: np.ndarray) -> str | None:
@@ -152,11 +193,16 @@ def _contacts(episode: Episode, rule: CaptureRule, tips: np.ndarray) -> str | No
     if not wrong.any():
         return None
     frame = int(wrong.any(axis=1).argmax())
-    return f"target_contacts at frame {frame} are {contacts[frame].tolist()}, which touch or fingertips contradict"
+    return (
+        f"target_contacts at frame {frame} are {contacts[frame].tolist()}, which touch or "
+        f"fingertips contradict"
+    )
 
 
 def _track(episode: Episode) -> Track:
-    """Return what the rule judges; what touched the target besides fingers is not stored, so ``captured`` says it."""
+    """Return what the rule judges; what touched the target besides fingers is not stored, so
+    ``captured`` says it.
+    """
     control, captured = episode.control, episode.captured[episode.control]
     touch = episode.target_contacts if episode.touch is None else episode.touch
     return Track(

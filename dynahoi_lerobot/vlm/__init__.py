@@ -1,1 +1,3 @@
-"""Vision-language models as controllers, with the prompt of the paper, over any OpenAI-compatible endpoint."""
+"""Vision-language models as controllers, with the prompt of the paper, over any OpenAI-compatible
+endpoint.
+"""

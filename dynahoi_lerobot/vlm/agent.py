@@ -1,7 +1,9 @@
-"""A vision-language model as an agent: one decision per world for every ten frames of the control phase.
+"""A vision-language model as an agent: one decision per world for every ten frames of the control
+phase.
 
-An OpenAI-compatible endpoint is asked, with one deadline per decision and an account of what was asked. What a server
-says may repeat the API key, so nothing of it is stored but valid answers and token counts.
+An OpenAI-compatible endpoint is asked, with one deadline per decision and an account of what was
+asked. What a server says may repeat the API key, so nothing of it is stored but valid answers and
+token counts.
 """
 
 import asyncio
@@ -34,7 +36,8 @@ HTTP_URL = re.compile(r"https?://(\[[\da-fA-F:]+\]|[\w.-]+)(:\d+)?(/[^\s@]*)?")
 class VlmAgent(ChunkAgent):
     """Executes the action chunks that a model answers with.
 
-    After a failed decision the hand holds its pose for as many frames as a chunk has, and the failure is counted.
+    After a failed decision the hand holds its pose for as many frames as a chunk has, and the
+    failure is counted.
     """
 
     sees_images = True
@@ -49,18 +52,27 @@ class VlmAgent(ChunkAgent):
         self._planned = [deque() for _ in range(count)]
 
     def act(self, observation: Observation) -> np.ndarray:
-        """Return (N, 18) commands, palm centre [m], home frame, and joints [rad], once the decisions due are made."""
-        in_play = is_acting(observation.phase) & observation.images[EGO_VIEW].any(axis=(1, 2, 3))  # others are black
+        """Return (N, 18) commands, palm centre [m], home frame, and joints [rad], once the
+        decisions due are made.
+        """
+        in_play = is_acting(observation.phase) & observation.images[EGO_VIEW].any(
+            axis=(1, 2, 3)
+        )  # others are black
         due = [i for i, queue in enumerate(self._planned) if not queue and in_play[i]]
         states = observation.state.astype(np.float64)
         chunks, _ = self.plan(observation, np.array(due, int))
         for i, commands in zip(due, chunks, strict=True):
             self._planned[i].extend(commands)
         return np.stack(
-            [queue.popleft() if queue else state for queue, state in zip(self._planned, states, strict=True)]
+            [
+                queue.popleft() if queue else state
+                for queue, state in zip(self._planned, states, strict=True)
+            ]
         )
 
-    def plan(self, observation: Observation, worlds: np.ndarray, **_: Any) -> tuple[np.ndarray, np.ndarray]:
+    def plan(
+        self, observation: Observation, worlds: np.ndarray, **_: Any
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return a chunk for each of ``worlds`` (n,) and the seconds that each decision took.
 
         Worlds whose episode has ended are skipped. A model continues no earlier chunk.
@@ -68,7 +80,9 @@ class VlmAgent(ChunkAgent):
         shown = [i for i in worlds.tolist() if observation.images[EGO_VIEW][i].any()]
         actions = np.repeat(observation.state[:, None].astype(np.float64), HORIZON, axis=1)
         seconds = np.zeros(len(observation.state))
-        asked = [(observation.tasks[i], actions[i, 0], observation.images[EGO_VIEW][i]) for i in shown]
+        asked = [
+            (observation.tasks[i], actions[i, 0], observation.images[EGO_VIEW][i]) for i in shown
+        ]
         for i, (commands, took) in zip(shown, self._client.plan(asked), strict=True):
             seconds[i] = took
             if commands is not None:
@@ -83,8 +97,9 @@ class VlmAgent(ChunkAgent):
 class VlmClient:
     """One model behind one endpoint.
 
-    Requests run in an event loop on a thread of their own, side by side, where the deadline of a decision ends them
-    wherever they wait. The ``openai`` package repeats what fails on the way, and pauses as a busy server asks it to.
+    Requests run in an event loop on a thread of their own, side by side, where the deadline of a
+    decision ends them wherever they wait. The ``openai`` package repeats what fails on the way, and
+    pauses as a busy server asks it to.
     """
 
     def __init__(
@@ -97,40 +112,47 @@ class VlmClient:
         palm_speed_m_s: float = CONTROL_CLASSES[DEFAULT_CONTROL_CLASS].palm_speed_m_s,
         log: Path | None = None,
     ) -> None:
-        """Prepare requests to ``base_url``; the API key is read from the environment variable ``OPENAI_API_KEY``.
+        """Prepare requests to ``base_url``; the API key is read from the environment variable
+        ``OPENAI_API_KEY``.
 
         Args:
             model: its name at the endpoint.
             base_url: of the endpoint, usually ending in ``/v1``; None is OpenAI's.
             timeout_s: for one decision [s], all its requests included.
             prompt, palm_speed_m_s: what is asked, see ``prompt.messages``.
-            log: a JSON-lines file to which a line is appended for every answer, or failure to get one.
+            log: a JSON-lines file to which a line is appended for every answer, or failure to get
+                one.
 
         Raises:
-            ValueError: for an unknown prompt or an invalid URL, or if the endpoint is OpenAI's and there is no key.
+            ValueError: for an unknown prompt or an invalid URL, or if the endpoint is OpenAI's and
+                there is no key.
         """
         known("prompt", prompt, PROMPTS)
         self._model, self._timeout_s, self._log = model, timeout_s, log
         self._prompt, self._palm_speed_m_s = prompt, palm_speed_m_s
         self._structured = True
-        self._totals = dict.fromkeys(("decisions", "failed", "answers", "prompt_tokens", "completion_tokens"), 0)
+        self._totals = dict.fromkeys(
+            ("decisions", "failed", "answers", "prompt_tokens", "completion_tokens"), 0
+        )
         self._problems: Counter[str] = Counter()
         self._seconds = 0.0
         self._client = _connect(base_url)
         self._loop = asyncio.new_event_loop()
         threading.Thread(target=self._loop.run_forever, daemon=True, name="vlm").start()
 
-    def plan(self, worlds: Sequence[tuple[str, np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray | None, float]]:
+    def plan(
+        self, worlds: Sequence[tuple[str, np.ndarray, np.ndarray]]
+    ) -> list[tuple[np.ndarray | None, float]]:
         """Decide for several worlds at the same time.
 
         Args:
-            worlds: the instruction; (18,) palm centre position [m], home frame, and joint angles [rad]; and (H, W, 3)
-                uint8 RGB of the hand's camera.
+            worlds: the instruction; (18,) palm centre position [m], home frame, and joint angles
+                [rad]; and (H, W, 3) uint8 RGB of the hand's camera.
 
         Returns:
-            For each of them, the commands for the next frames, (10, 18) palm centre position [m], home frame, and joint
-            angles [rad], one row for each frame of 0.05 s, or None if the server gives no valid answer in time; and
-            what the decision took [s].
+            For each of them, the commands for the next frames, (10, 18) palm centre position [m],
+            home frame, and joint angles [rad], one row for each frame of 0.05 s, or None if the
+            server gives no valid answer in time; and what the decision took [s].
         """
 
         async def decide() -> list[tuple[np.ndarray | None, float]]:
@@ -141,8 +163,8 @@ class VlmClient:
     def report(self) -> dict[str, Any]:
         """Return the names of model and prompt and the account so far, as JSON values.
 
-        ``answers`` counts requests for an answer, ``problems`` those without a valid one by the exception's name, and
-        ``seconds`` is the time spent waiting, summed over decisions.
+        ``answers`` counts requests for an answer, ``problems`` those without a valid one by the
+        exception's name, and ``seconds`` is the time spent waiting, summed over decisions.
         """
         return {
             "model": self._model,
@@ -153,7 +175,9 @@ class VlmClient:
             "problems": dict(self._problems),
         }
 
-    async def _decide(self, task: str, state: np.ndarray, image: np.ndarray) -> tuple[np.ndarray | None, float]:
+    async def _decide(
+        self, task: str, state: np.ndarray, image: np.ndarray
+    ) -> tuple[np.ndarray | None, float]:
         """Ask until an answer is valid, ``MOST_ANSWERS`` are not or the deadline has passed."""
         start, commands = time.monotonic(), None
         asked = messages(self._prompt, self._palm_speed_m_s, task, state, image)
@@ -187,11 +211,17 @@ class VlmClient:
     async def _complete(self, messages: list[dict[str, Any]]) -> Any:
         """Request a completion, with structured output as long as the server has not refused it."""
         create = self._client.chat.completions.create
-        request: dict[str, Any] = {"model": self._model, "messages": messages, "max_tokens": MAX_TOKENS}
+        request: dict[str, Any] = {
+            "model": self._model,
+            "messages": messages,
+            "max_tokens": MAX_TOKENS,
+        }
         if self._structured:
             schema = {"name": "hand_motion", "schema": Answer.model_json_schema()}
             try:
-                return await create(**request, response_format={"type": "json_schema", "json_schema": schema})
+                return await create(
+                    **request, response_format={"type": "json_schema", "json_schema": schema}
+                )
             except (openai.BadRequestError, openai.UnprocessableEntityError):
                 self._structured = False  # many servers offer none
         return await create(**request)
@@ -200,7 +230,9 @@ class VlmClient:
         """Count a problem; its words are told only if they are ours."""
         name = type(error).__name__
         self._problems[name] += 1
-        self._write({"task": task, "problem": f"{name}: {error}" if isinstance(error, ReplyError) else name})
+        self._write(
+            {"task": task, "problem": f"{name}: {error}" if isinstance(error, ReplyError) else name}
+        )
 
     def _write(self, line: dict[str, Any]) -> None:
         if self._log:
@@ -209,16 +241,26 @@ class VlmClient:
 
 
 def _connect(base_url: str | None) -> Any:
-    """Return an `openai.AsyncOpenAI` client, unless the URL or the environment's key cannot be right."""
+    """Return an `openai.AsyncOpenAI` client, unless the URL or the environment's key cannot be
+    right.
+    """
     key = os.environ.get("OPENAI_API_KEY", "").strip()
     if base_url is None and not key:
-        raise ValueError("without --base-url the endpoint is OpenAI's and OPENAI_API_KEY must be set; it is not")
-    if base_url is not None and not HTTP_URL.fullmatch(base_url):  # not repeated: results hold the command line
-        raise ValueError("the base URL must be like http://localhost:8000/v1, without user name or password")
-    return openai.AsyncOpenAI(api_key=key or "none", base_url=base_url)  # local servers check no key
+        raise ValueError(
+            "without --base-url the endpoint is OpenAI's and OPENAI_API_KEY must be set; it is not"
+        )
+    if base_url is not None and not HTTP_URL.fullmatch(
+        base_url
+    ):  # not repeated: results hold the command line
+        raise ValueError(
+            "the base URL must be like http://localhost:8000/v1, without user name or password"
+        )
+    return openai.AsyncOpenAI(
+        api_key=key or "none", base_url=base_url
+    )  # local servers check no key
 
 
-# -- the answer, as pydantic reads it: anything that differs from the requested format is refused ----------------------
+# -- the answer, as pydantic reads it: anything that differs from the requested format is refused --
 
 
 class ReplyError(ValueError):
@@ -241,7 +283,9 @@ class Frame(BaseModel):
 
 
 class Answer(BaseModel):
-    """A skill program and the rollout of the next ``HORIZON`` frames (appendix "Details for Evaluating VLMs")."""
+    """A skill program and the rollout of the next ``HORIZON`` frames (appendix "Details for
+    Evaluating VLMs").
+    """
 
     action_sequence: Annotated[list[Step], Field(min_length=1)]
     predicted_motion: Annotated[list[Frame], Field(min_length=HORIZON, max_length=HORIZON)]
@@ -254,11 +298,12 @@ class Answer(BaseModel):
 
 
 def parse_reply(text: str) -> tuple[np.ndarray, list[tuple[str, int]]]:
-    """Return the commands of an answer and its skills; a Markdown fence around the JSON is accepted, no other text is.
+    """Return the commands of an answer and its skills; a Markdown fence around the JSON is
+    accepted, no other text is.
 
     Returns:
-        (10, 18) float64, palm centre position [m], home frame, and joint angles [rad], finite but not clipped; and the
-        name of each skill with its duration [frames].
+        (10, 18) float64, palm centre position [m], home frame, and joint angles [rad], finite but
+        not clipped; and the name of each skill with its duration [frames].
 
     Raises:
         ReplyError: if the text is not JSON or not an ``Answer``.
@@ -267,7 +312,9 @@ def parse_reply(text: str) -> tuple[np.ndarray, list[tuple[str, int]]]:
     if body.startswith("```"):
         body = body.removeprefix("```").removeprefix("json").removesuffix("```")
     try:
-        answer = Answer.model_validate_json(body, strict=True)  # numbers are neither text nor truth values
+        answer = Answer.model_validate_json(
+            body, strict=True
+        )  # numbers are neither text nor truth values
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         place = ".".join(map(str, first["loc"])) or "the answer"

@@ -1,4 +1,6 @@
-"""N worlds = N rows over one model: reset a row, step all of them, observe them. Everything else stands on this."""
+"""N worlds = N rows over one model: reset a row, step all of them, observe them. Everything else
+stands on this.
+"""
 
 from collections.abc import Sequence
 
@@ -20,13 +22,15 @@ from dynahoi_lerobot.world.sensors import KINEMATICS, Cameras, Fingertips, Stage
 
 
 class WorldBatch:
-    """N simulated worlds that share one compiled model and one clock rate, each at its own frame of its own episode.
+    """N simulated worlds that share one compiled model and one clock rate, each at its own frame of
+    its own episode.
 
-    Every array below has one row per world. Rows are independent to the bit: what happens in one depends neither on
-    its neighbours, nor on the size of the batch, nor on the number of threads.
+    Every array below has one row per world. Rows are independent to the bit: what happens in one
+    depends neither on its neighbours, nor on the size of the batch, nor on the number of threads.
 
-    Positions are in the *home frame*: axes of the world, origin at the palm's home in this episode. The simulation
-    underneath keeps the world frame; this class converts, commands on their way in and measurements on their way out.
+    Positions are in the *home frame*: axes of the world, origin at the palm's home in this episode.
+    The simulation underneath keeps the world frame; this class converts, commands on their way in
+    and measurements on their way out.
 
     Attributes:
         recipe, size: as given.
@@ -34,7 +38,8 @@ class WorldBatch:
         rule: the capture rule.
         control: the control class, whose limits every command is held to.
         commands: reads actions, cuts them and lets them wait.
-        given, executed: (N, 18) of ``commands``: the one last given, as it was cut, and what the servos were last told.
+        given, executed: (N, 18) of ``commands``: the one last given, as it was cut, and what the
+            servos were last told.
         cameras: render the worlds.
         specs: the episode of each world, None where none has begun.
         frame: (N,) int, current frame of each world's episode.
@@ -73,7 +78,10 @@ class WorldBatch:
         self._threads, self._stage = threads, None
 
     def reset(
-        self, ids: Sequence[int] | np.ndarray, specs: Sequence[EpisodeSpec], attempt: Sequence[int] | int = 1
+        self,
+        ids: Sequence[int] | np.ndarray,
+        specs: Sequence[EpisodeSpec],
+        attempt: Sequence[int] | int = 1,
     ) -> None:
         """Begin an episode in each world of ``ids``: target at its start, hand open at home.
 
@@ -93,7 +101,8 @@ class WorldBatch:
         self._physics.reset(chosen, distance[chosen])
 
     def place(self, state: np.ndarray, target_pose: np.ndarray) -> None:
-        """Pose hands and targets of all worlds without physics, to look at them; what was going on there is lost.
+        """Pose hands and targets of all worlds without physics, to look at them; what was going on
+        there is lost.
 
         Args:
             state: (N, 18) palm centre position [m], home frame, and joint angles [rad].
@@ -108,11 +117,12 @@ class WorldBatch:
     def step(self, actions: np.ndarray, ids: np.ndarray | None = None) -> None:
         """Advance worlds ``ids`` (default: all) by one control step of 0.05 s.
 
-        During the observation window the hand is held at home; commands that would take effect in it are void.
+        During the observation window the hand is held at home; commands that would take effect in
+        it are void.
 
         Args:
-            actions: (N, 18) palm positions [m], home frame, and joint angles [rad], or (N, 4) in control mode
-                ``grasp``; those of other worlds are ignored.
+            actions: (N, 18) palm positions [m], home frame, and joint angles [rad], or (N, 4) in
+                control mode ``grasp``; those of other worlds are ignored.
             ids: sorted, distinct worlds.
 
         Raises:
@@ -122,7 +132,10 @@ class WorldBatch:
         wanted = self.commands.read(actions, self.state)[chosen]
         if not len(chosen):
             return
-        set_points = self.commands.follow(chosen, wanted, self.accepting[chosen]) + self._origin[chosen, None]
+        set_points = (
+            self.commands.follow(chosen, wanted, self.accepting[chosen])
+            + self._origin[chosen, None]
+        )
         self._physics.advance(chosen, set_points, self.frame[chosen], self.acting[chosen])
         self.frame[chosen] += 1
         self._batch.forward(chosen, stage=KINEMATICS)
@@ -134,7 +147,9 @@ class WorldBatch:
 
     @property
     def accepting(self) -> np.ndarray:
-        """(N,) bool, a command given at this frame takes effect in the control phase; earlier ones are void."""
+        """(N,) bool, a command given at this frame takes effect in the control phase; earlier ones
+        are void.
+        """
         return self.frame + self.control.latency_frames >= self._windows
 
     @property
@@ -165,7 +180,9 @@ class WorldBatch:
         return self._fields.qpos.copy()
 
     def tip_distance(self) -> np.ndarray:
-        """Return (N, 5), signed distance of each fingertip to the target's surface [m], negative inside."""
+        """Return (N, 5), signed distance of each fingertip to the target's surface [m], negative
+        inside.
+        """
         return self._fingertips.target_distance()
 
     def fingertips(self) -> np.ndarray:
@@ -177,8 +194,8 @@ class WorldBatch:
 
         Args:
             images: whether to render the views of the recipe; without, they cost nothing.
-            ids: the worlds to render (default: all); the images of the others are black, as are those of worlds in the
-                control phase of a protocol with ``blind_control``.
+            ids: the worlds to render (default: all); the images of the others are black, as are
+                those of worlds in the control phase of a protocol with ``blind_control``.
         """
         seen, state = np.arange(self.size) if ids is None else ids, self.state
         shown = self.cameras.images(seen) if images and self.recipe.image_size else {}
@@ -188,8 +205,12 @@ class WorldBatch:
             state=state.astype(np.float32),
             phase=one_hot_phase(self.accepting),
             tasks=tuple("" if spec is None else spec.task for spec in self.specs),
-            touch=self.contacts.finger_force_n.astype(np.float32) if self.rule.uses_contact_sensors else None,
-            environment_state=np.hstack([self.target_pose, self.target_velocity]).astype(np.float32) if truth else None,
+            touch=self.contacts.finger_force_n.astype(np.float32)
+            if self.rule.uses_contact_sensors
+            else None,
+            environment_state=np.hstack([self.target_pose, self.target_velocity]).astype(np.float32)
+            if truth
+            else None,
             sighting=self.cameras.sighting(shown, state[:, :PALM_DOF], seen),
         )
 
@@ -199,7 +220,8 @@ class WorldBatch:
         return self.recipe.image_size > 0 and not self.cameras.in_order
 
     def images_of(self, i: int, qpos: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the views of world ``i`` in the first T frames of its episode, of which (T, nq) ``qpos`` was recorded.
+        """Return the views of world ``i`` in the first T frames of its episode, of which (T, nq)
+        ``qpos`` was recorded.
 
         They are (T, H, W, 3) uint8, the same that ``observe`` would have shown.
         """
@@ -225,9 +247,14 @@ class WorldBatch:
 
     def _write(self, i: int, spec: EpisodeSpec) -> None:
         """Fill row ``i`` with an episode that is about to begin."""
-        self._physics.drive(i, self._fields.write_episode(i, spec, self.rule.collisions(spec.motion)))
-        # rounded as commands are, or the hand would creep and, by rounding, disturb what slides or rests
-        rest = np.concatenate([np.zeros(PALM_DOF), self.scene.hand.open_joints()]).astype(np.float32)
+        self._physics.drive(
+            i, self._fields.write_episode(i, spec, self.rule.collisions(spec.motion))
+        )
+        # rounded as commands are, or the hand would creep and, by rounding, disturb what slides or
+        # rests
+        rest = np.concatenate([np.zeros(PALM_DOF), self.scene.hand.open_joints()]).astype(
+            np.float32
+        )
         self._origin[i, :PALM_DOF] = spec.home_pos_w
         self.commands.begin(i, rest, self._origin[i])
         self._fields.qpos[i, self.scene.hand_qpos] = rest + self._origin[i]

@@ -1,4 +1,5 @@
-"""Where ObAct's eye sees the target: what environments show to any policy under ``environment_state=eye``.
+"""Where ObAct's eye sees the target: what environments show to any policy under
+``environment_state=eye``.
 
 This module imports torch and ObAct.
 """
@@ -13,14 +14,16 @@ from dynahoi_lerobot.core.features import SIGHTING_AGES
 from dynahoi_lerobot.world.frame_history import FrameHistory
 
 DECIMALS = 4
-"""Sightings are rounded to 0.1 mm, below which the last bits of a network differ between processors."""
+"""Sightings are rounded to 0.1 mm, below which the last bits of a network differ between
+processors."""
 
 
 class Detector:
-    """The pretrained eye on the images of the hand's camera in N worlds, and what it saw some frames ago.
+    """The pretrained eye on the images of the hand's camera in N worlds, and what it saw some
+    frames ago.
 
-    Before an episode's start stands its first image. Images are encoded one by one, so that what is seen in a world
-    does not depend on the others.
+    Before an episode's start stands its first image. Images are encoded one by one, so that what is
+    seen in a world does not depend on the others.
 
     Args:
         size: N.
@@ -41,8 +44,11 @@ class Detector:
         """Forget what was seen in worlds ``ids`` (n,), whose episodes begin."""
         self._places.forget(ids)
 
-    def see(self, images: np.ndarray, palm: np.ndarray, ids: np.ndarray, frames: np.ndarray) -> np.ndarray:
-        """Return the sightings of all worlds, (N, 14) float32; worlds that are not among ``ids`` keep their last.
+    def see(
+        self, images: np.ndarray, palm: np.ndarray, ids: np.ndarray, frames: np.ndarray
+    ) -> np.ndarray:
+        """Return the sightings of all worlds, (N, 14) float32; worlds that are not among ``ids``
+        keep their last.
 
         Args:
             images: (N, H, W, 3) uint8 RGB.
@@ -52,7 +58,9 @@ class Detector:
         """
         for i in ids[frames[ids] != self._places.frame[ids]]:  # a frame may be observed twice
             image = rearrange(torch.from_numpy(images[i]), "h w c -> 1 c h w") / 255
-            place, self._scales[i] = self._sighted(image, image if self._places.frame[i] < 0 else self._images[i])
+            place, self._scales[i] = self._sighted(
+                image, image if self._places.frame[i] < 0 else self._images[i]
+            )
             self._places.add(i, palm[i] + place, int(frames[i]))
             self._images[i] = image
         seen = rearrange(self._places.values[SIGHTING_AGES, :], "a n i -> n (a i)")
@@ -60,6 +68,8 @@ class Detector:
 
     @torch.inference_mode()
     def _sighted(self, image: torch.Tensor, before: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
-        """Return the target's place from the palm [m], (3,), and log scales, (2,); images are (1, 3, H, W)."""
+        """Return the target's place from the palm [m], (3,), and log scales, (2,); images are (1,
+        3, H, W).
+        """
         sighting = self._eye(torch.cat([image, before], dim=1))
         return self._camera.place(sighting[:, :3])[0].numpy(), sighting[0, 3:5].clamp(-6, 3).numpy()

@@ -19,7 +19,9 @@ class FrameHistory:
         self.frame[ids] = -1
 
     def add(self, i: int, value: np.ndarray, frame: int) -> None:
-        """Add what is measured in world ``i`` at a frame; frames since the last that were left out show the same."""
+        """Add what is measured in world ``i`` at a frame; frames since the last that were left out
+        show the same.
+        """
         passed = frame - int(self.frame[i])
         if self.frame[i] < 0:
             self.values[:, i] = value

@@ -1,4 +1,6 @@
-"""One control step of physics, 25 steps at 500 Hz, in which targets are driven until a capture rule's event."""
+"""One control step of physics, 25 steps at 500 Hz, in which targets are driven until a capture
+rule's event.
+"""
 
 import mujoco
 import numpy as np
@@ -15,14 +17,17 @@ CONTROL_SPEC = int(mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_A
 
 
 class Physics:
-    """Advances worlds, and keeps what a capture rule and a recording need to know of the last control step.
+    """Advances worlds, and keeps what a capture rule and a recording need to know of the last
+    control step.
 
     Attributes:
-        palm_distance: (N,) [m], least distance of palm and target centre during the last control step.
+        palm_distance: (N,) [m], least distance of palm and target centre during the last control
+            step.
         localized: (N,) bool, the target has been localised in the control phase.
-        released: (N,) bool, the capture rule's event has happened: nothing drives the target any more.
-        contacts: of shape (N,), what touched the target during the last control step: mean forces [N] and mean
-            numbers of contacts. Zero if the capture rule uses no contact sensors.
+        released: (N,) bool, the capture rule's event has happened: nothing drives the target any
+            more.
+        contacts: of shape (N,), what touched the target during the last control step: mean forces
+            [N] and mean numbers of contacts. Zero if the capture rule uses no contact sensors.
     """
 
     def __init__(self, scene: Scene, batch: Batch, fields: WorldFields, rule: CaptureRule) -> None:
@@ -34,13 +39,21 @@ class Physics:
         self._force_w: list[np.ndarray] = [np.zeros((0, SUBSTEPS, 3))] * batch.nsim
 
     def drive(self, i: int, force_w: np.ndarray) -> None:
-        """Begin to drive the target of world ``i`` by (F, 25, 3) force [N], world, in each physics step of F frames."""
+        """Begin to drive the target of world ``i`` by (F, 25, 3) force [N], world, in each physics
+        step of F frames.
+        """
         self._force_w[i], self.released[i] = force_w, False
 
     def reset(self, ids: np.ndarray, palm_distance: np.ndarray) -> None:
-        """Begin an episode in worlds ``ids`` (n,), whose palms are ``palm_distance`` (n,) [m] from their targets."""
+        """Begin an episode in worlds ``ids`` (n,), whose palms are ``palm_distance`` (n,) [m] from
+        their targets.
+        """
         self.palm_distance[ids], self.localized[ids] = palm_distance, False
-        for values in (self.contacts.finger_force_n, self.contacts.palm_force_n, self.contacts.others):
+        for values in (
+            self.contacts.finger_force_n,
+            self.contacts.palm_force_n,
+            self.contacts.others,
+        ):
             values[ids] = 0.0
 
     @property
@@ -53,10 +66,14 @@ class Physics:
         """(N, 6) linear [m/s] and angular [rad/s] velocity, world."""
         dof = self._scene.target_dof
         velocity = self._fields.qvel[:, dof : dof + 6].copy()
-        velocity[:, 3:] = (quat_to_matrix(self.target_pose[:, 3:]) * velocity[:, None, 3:]).sum(axis=-1)
+        velocity[:, 3:] = (quat_to_matrix(self.target_pose[:, 3:]) * velocity[:, None, 3:]).sum(
+            axis=-1
+        )
         return velocity
 
-    def advance(self, ids: np.ndarray, set_points: np.ndarray, frame: np.ndarray, acting: np.ndarray) -> None:
+    def advance(
+        self, ids: np.ndarray, set_points: np.ndarray, frame: np.ndarray, acting: np.ndarray
+    ) -> None:
         """Roll one control step; where the capture rule has an event, go back and insert it.
 
         Args:
@@ -71,13 +88,17 @@ class Physics:
         self._keep(ids, contacts)
         self.palm_distance[ids] = palm_distance.min(axis=1)
         self.localized[ids] |= acting & (self.palm_distance[ids] < self._rule.localization_radius_m)
-        events = np.where(self.released[ids], NO_EVENT, self._rule.events(acting, palm_distance, contacts))
+        events = np.where(
+            self.released[ids], NO_EVENT, self._rule.events(acting, palm_distance, contacts)
+        )
         for row in np.flatnonzero(events != NO_EVENT):
             self._batch.state[ids[row]] = before[row]
             self._roll_through_event(int(ids[row]), control[row : row + 1], int(events[row]) + 1)
 
     def _control(self, ids: np.ndarray, set_points: np.ndarray, frame: np.ndarray) -> np.ndarray:
-        """(n, 25, nu + nv) what MuJoCo needs for a control step: set points, and the forces [N] that drive targets."""
+        """(n, 25, nu + nv) what MuJoCo needs for a control step: set points, and the forces [N]
+        that drive targets.
+        """
         control = np.zeros((len(ids), SUBSTEPS, self.n_controls + self._scene.model.nv))
         control[..., : self.n_controls] = set_points
         dof = self.n_controls + self._scene.target_dof
@@ -87,7 +108,9 @@ class Physics:
         return control
 
     def _roll_through_event(self, i: int, control: np.ndarray, steps: int) -> None:
-        """Roll world ``i`` for ``steps`` physics steps, let the event happen, and finish the control step."""
+        """Roll world ``i`` for ``steps`` physics steps, let the event happen, and finish the
+        control step.
+        """
         one = np.array([i])
         _, before = self._roll(one, control[:, :steps])
         self.released[i] = True
@@ -107,7 +130,9 @@ class Physics:
         quat = fields.qpos[i, scene.target_qpos + 3 : scene.target_qpos + 7]
         inverse, offset = np.zeros(4), np.zeros(3)
         mujoco.mju_negQuat(inverse, quat)
-        mujoco.mju_rotVecQuat(offset, fields.qpos[i, scene.hand_qpos[:PALM_DOF]] - position, inverse)
+        mujoco.mju_rotVecQuat(
+            offset, fields.qpos[i, scene.hand_qpos[:PALM_DOF]] - position, inverse
+        )
         data = fields.fields["eq_data"]
         data[i, scene.weld_eq] = 0.0
         data[i, scene.weld_eq, 3:6], data[i, scene.weld_eq, 6:10] = offset, inverse
@@ -117,8 +142,12 @@ class Physics:
         fields.qvel[i, dof : dof + 3] = fields.qvel[i, scene.hand_dof[:PALM_DOF]]
         fields.qvel[i, dof + 3 : dof + 6] = 0.0
 
-    def _roll(self, ids: np.ndarray, control: np.ndarray) -> tuple[np.ndarray, TargetContacts | None]:
-        """Roll K physics steps; return the distances (n, K) [m] and contacts of shape (n, K) in them."""
+    def _roll(
+        self, ids: np.ndarray, control: np.ndarray
+    ) -> tuple[np.ndarray, TargetContacts | None]:
+        """Roll K physics steps; return the distances (n, K) [m] and contacts of shape (n, K) in
+        them.
+        """
         sensed = self._rule.uses_contact_sensors
         names = ("qpos", "sensordata") if sensed else ("qpos",)
         record = self._batch.rollout(control.shape[1], control, CONTROL_SPEC, record=names, ids=ids)
@@ -128,7 +157,9 @@ class Physics:
         return distance, read_contacts(record["sensordata"]) if sensed else None
 
     def _keep(self, ids: np.ndarray, *parts: TargetContacts | None) -> None:
-        """Keep the mean of the contacts in the parts of a control step, of shapes (n, K) with 25 steps together."""
+        """Keep the mean of the contacts in the parts of a control step, of shapes (n, K) with 25
+        steps together.
+        """
         for name, kept in vars(self.contacts).items():
             if steps := [getattr(part, name) for part in parts if part is not None]:
                 kept[ids] = np.concatenate(steps, axis=1).mean(axis=1)

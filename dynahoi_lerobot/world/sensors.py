@@ -1,4 +1,6 @@
-"""What is measured of N worlds beyond the simulator's state: images, and where the fingertips are."""
+"""What is measured of N worlds beyond the simulator's state: images, and where the fingertips
+are.
+"""
 
 from __future__ import annotations
 
@@ -40,8 +42,11 @@ LUMINANCE = np.array([299, 587, 114], np.uint32)
 """Thousandths of red, green and blue (ITU-R BT.601)."""
 
 
-def with_render_noise(image: np.ndarray, levels: int, seed: int, frame: int, view: str) -> np.ndarray:
-    """Return an image (H, W, 3) uint8 whose values have changed by at most ``levels``, as from renderer to renderer.
+def with_render_noise(
+    image: np.ndarray, levels: int, seed: int, frame: int, view: str
+) -> np.ndarray:
+    """Return an image (H, W, 3) uint8 whose values have changed by at most ``levels``, as from
+    renderer to renderer.
 
     The changes are uniform whole numbers, a function of the episode's seed, the frame and the view.
     """
@@ -56,17 +61,24 @@ def _grey(image: np.ndarray) -> np.ndarray:
 
 
 class Cameras:
-    """What N worlds show of their episodes: a recipe's views, with its render noise, and what its eye sees in them.
+    """What N worlds show of their episodes: a recipe's views, with its render noise, and what its
+    eye sees in them.
 
     A camera costs nothing until something is drawn through it.
 
     Attributes:
         image_size: side of the square images [px].
-        in_order: whether an image depends on earlier ones, or a column on images, so that frames must be seen in turn.
+        in_order: whether an image depends on earlier ones, or a column on images, so that frames
+            must be seen in turn.
     """
 
     def __init__(
-        self, scene: Scene, batch: Batch, recipe: Recipe, specs: list[EpisodeSpec | None], frame: np.ndarray
+        self,
+        scene: Scene,
+        batch: Batch,
+        recipe: Recipe,
+        specs: list[EpisodeSpec | None],
+        frame: np.ndarray,
     ) -> None:
         """Show ``batch``, which runs ``scene.model`` by the rules of ``recipe``.
 
@@ -76,11 +88,21 @@ class Cameras:
             ValueError: for an eye without the ObAct plugin.
         """
         looks = recipe.environment_state == EYE
-        self.image_size = recipe.image_size or (DETECTOR_IMAGE_SIZE_PX if looks else DEFAULT_IMAGE_SIZE_PX)
-        self._scene, self._batch, self._recipe, self._specs, self._frame = scene, batch, recipe, specs, frame
+        self.image_size = recipe.image_size or (
+            DETECTOR_IMAGE_SIZE_PX if looks else DEFAULT_IMAGE_SIZE_PX
+        )
+        self._scene, self._batch, self._recipe, self._specs, self._frame = (
+            scene,
+            batch,
+            recipe,
+            specs,
+            frame,
+        )
         self._renderers: dict[str, Renderer] = {}
         self._views = (EGO_VIEW, *recipe.views)
-        self._grey = FrameHistory(batch.nsim, MOTION_FRAMES[-1] + 1, (self.image_size, self.image_size), np.uint8)
+        self._grey = FrameHistory(
+            batch.nsim, MOTION_FRAMES[-1] + 1, (self.image_size, self.image_size), np.uint8
+        )
         self._detector = _detector(scene, batch, self.image_size) if looks else None
         self.in_order = looks or MOTION_VIEW in self._views
 
@@ -91,15 +113,20 @@ class Cameras:
             self._detector.forget(ids)
 
     def images(self, ids: np.ndarray) -> dict[str, np.ndarray]:
-        """Return (N, H, W, 3) uint8 of each view; worlds not among ``ids`` (n,) or blinded by protocol are black."""
+        """Return (N, H, W, 3) uint8 of each view; worlds not among ``ids`` (n,) or blinded by
+        protocol are black.
+        """
         seeing = self._seeing(ids)
         shown = {view: self._image(view, seeing) for view in self._views if view != MOTION_VIEW}
         if MOTION_VIEW in self._views:
             shown[MOTION_VIEW] = self._motion(shown[EGO_VIEW], seeing)
         return {view: shown[view] for view in self._views}
 
-    def sighting(self, shown: dict[str, np.ndarray], palm: np.ndarray, ids: np.ndarray) -> np.ndarray | None:
-        """Return (N, 14) float32 where the eye sees the targets of worlds ``ids`` (n,), None without an eye.
+    def sighting(
+        self, shown: dict[str, np.ndarray], palm: np.ndarray, ids: np.ndarray
+    ) -> np.ndarray | None:
+        """Return (N, 14) float32 where the eye sees the targets of worlds ``ids`` (n,), None
+        without an eye.
 
         Args:
             shown: what ``images`` returned; empty if they are not shown.
@@ -112,7 +139,9 @@ class Cameras:
         return self._detector.see(images, palm, ids, self._frame)
 
     def render(self, ids: np.ndarray | None = None, view: str = EGO_VIEW) -> np.ndarray:
-        """Return (N, H, W, 3) uint8 RGB of a view; only worlds ``ids`` (default: all) are drawn, others are black."""
+        """Return (N, H, W, 3) uint8 RGB of a view; only worlds ``ids`` (default: all) are drawn,
+        others are black.
+        """
         camera, draw = VIEWS[view]
         n_worlds = self._batch.nsim
         if ids is None or len(ids) == n_worlds:
@@ -127,21 +156,29 @@ class Cameras:
         return self._renderer(EGO_VIEW).segmentation(np.arange(self._batch.nsim))
 
     def depth(self) -> np.ndarray:
-        """Return (N, H, W) float32 depth along the axis of the hand's camera [m], 0 where nothing is."""
+        """Return (N, H, W) float32 depth along the axis of the hand's camera [m], 0 where nothing
+        is.
+        """
         return self._renderer(EGO_VIEW).depth(np.arange(self._batch.nsim))
 
     def _image(self, view: str, ids: np.ndarray) -> np.ndarray:
-        """(N, H, W, 3) uint8 RGB of a view with its render noise; only worlds ``ids`` (n,) are drawn."""
+        """(N, H, W, 3) uint8 RGB of a view with its render noise; only worlds ``ids`` (n,) are
+        drawn.
+        """
         images, levels = self.render(ids, view), self._recipe.render_noise
         if levels:
             images = images.copy()
             for i in ids:
                 if (spec := self._specs[i]) is not None:
-                    images[i] = with_render_noise(images[i], levels, spec.seed, int(self._frame[i]), view)
+                    images[i] = with_render_noise(
+                        images[i], levels, spec.seed, int(self._frame[i]), view
+                    )
         return images
 
     def _motion(self, images: np.ndarray, ids: np.ndarray) -> np.ndarray:
-        """(N, H, W, 3) uint8 grey now, two and four frames ago, of worlds ``ids`` (n,); others are black."""
+        """(N, H, W, 3) uint8 grey now, two and four frames ago, of worlds ``ids`` (n,); others are
+        black.
+        """
         motion = np.zeros_like(images)
         for i in ids:
             self._grey.add(i, _grey(images[i]), int(self._frame[i]))
@@ -151,7 +188,9 @@ class Cameras:
     def _seeing(self, ids: np.ndarray) -> np.ndarray:
         """(n,) those of worlds ``ids`` whose protocol lets them see now."""
         blind = [
-            spec is not None and PROTOCOLS[spec.protocol].blind_control and frame >= spec.window_frames
+            spec is not None
+            and PROTOCOLS[spec.protocol].blind_control
+            and frame >= spec.window_frames
             for spec, frame in zip(self._specs, self._frame, strict=True)
         ]
         return np.setdiff1d(ids, np.flatnonzero(blind))
@@ -169,9 +208,13 @@ def _detector(scene: Scene, batch: Batch, image_size: int) -> Detector:
     try:
         from dynahoi_lerobot.world.detector import Detector
     except ImportError as error:
-        raise ValueError(f"environment_state {EYE} needs ObAct ({error}): install lerobot_policy_obact") from error
+        raise ValueError(
+            f"environment_state {EYE} needs ObAct ({error}): install lerobot_policy_obact"
+        ) from error
     model = scene.model
-    return Detector(batch.nsim, camera_pose(model, EGO_VIEW), intrinsics(model, EGO_VIEW, image_size))
+    return Detector(
+        batch.nsim, camera_pose(model, EGO_VIEW), intrinsics(model, EGO_VIEW, image_size)
+    )
 
 
 class Stage:
@@ -185,8 +228,11 @@ class Stage:
         self._frame = np.zeros(STAGE_FRAMES, int)
         self._cameras = Cameras(scene, self._batch, recipe, self._specs, self._frame)
 
-    def images(self, world: WorldFields, i: int, spec: EpisodeSpec, qpos: np.ndarray) -> dict[str, np.ndarray]:
-        """Return (T, H, W, 3) uint8 of each view of an episode's first T frames, of which (T, nq) ``qpos`` is known.
+    def images(
+        self, world: WorldFields, i: int, spec: EpisodeSpec, qpos: np.ndarray
+    ) -> dict[str, np.ndarray]:
+        """Return (T, H, W, 3) uint8 of each view of an episode's first T frames, of which (T, nq)
+        ``qpos`` is known.
 
         They are those that `Cameras` would have shown while row ``i`` of ``world`` played ``spec``.
         """
@@ -195,7 +241,9 @@ class Stage:
             rows = self._fields.copy(world, i, qpos[first : first + STAGE_FRAMES])
             self._frame[:] = first + np.arange(STAGE_FRAMES)
             self._batch.forward(rows, stage=KINEMATICS)
-            parts.append({view: images[rows] for view, images in self._cameras.images(rows).items()})
+            parts.append(
+                {view: images[rows] for view, images in self._cameras.images(rows).items()}
+            )
         return {view: np.concatenate([part[view] for part in parts]) for view in parts[0]}
 
 
@@ -214,11 +262,17 @@ class Fingertips:
             origin_w: (N, 3) from where positions are counted [m], world.
         """
         position = self._site_pos[:, self._scene.tip_sites] - origin_w[:, None]  # (N, 5, 3)
-        rotation = self._site_mat[:, self._scene.tip_sites].reshape(*position.shape, 3)  # (N, 5, 3, 3)
-        return np.concatenate([position, matrix_to_rotvec(rotation)], axis=-1).reshape(len(position), -1)
+        rotation = self._site_mat[:, self._scene.tip_sites].reshape(
+            *position.shape, 3
+        )  # (N, 5, 3, 3)
+        return np.concatenate([position, matrix_to_rotvec(rotation)], axis=-1).reshape(
+            len(position), -1
+        )
 
     def target_distance(self) -> np.ndarray:
-        """Return (N, 5), signed distance of each fingertip to the target's surface [m], negative inside."""
+        """Return (N, 5), signed distance of each fingertip to the target's surface [m], negative
+        inside.
+        """
         tips = self._site_pos[:, self._scene.tip_sites]  # (N, 5, 3)
         nearest = np.full((len(tips), len(FINGERS)), np.inf)
         alpha, sizes = self._fields.fields["geom_rgba"][..., 3], self._fields.fields["geom_size"]
@@ -227,24 +281,28 @@ class Fingertips:
             offset = tips[:, :, None] - self._geom_pos[:, None, geoms]  # (N, 5, S, 3)
             rotation = self._geom_mat[:, geoms].reshape(len(tips), 1, len(geoms), 3, 3)
             local = (rotation * offset[..., None]).sum(axis=-2)  # transposed rotation times offset
-            distance = signed_distance(shape, local, np.broadcast_to(sizes[:, None, geoms], local.shape))
+            distance = signed_distance(
+                shape, local, np.broadcast_to(sizes[:, None, geoms], local.shape)
+            )
             hidden = (alpha[:, geoms] == 0.0)[:, None]
             nearest = np.minimum(nearest, np.where(hidden, np.inf, distance).min(axis=2))
         return nearest
 
 
 def camera_pose(model: mujoco.MjModel, camera: str) -> np.ndarray:
-    """Return (7,) position [m] and quaternion wxyz of a camera in the frame of the body it is fixed to.
+    """Return (7,) position [m] and quaternion wxyz of a camera in the frame of the body it is fixed
+    to.
 
-    The hand's camera is fixed to the palm, which does not turn and has its origin at the palm centre; the side camera
-    to a body that is put where the palm centre waits.
+    The hand's camera is fixed to the palm, which does not turn and has its origin at the palm
+    centre; the side camera to a body that is put where the palm centre waits.
     """
     found = model.camera(camera)
     return np.concatenate([found.pos, found.quat])
 
 
 def intrinsics(model: mujoco.MjModel, camera: str, image_size: int) -> np.ndarray:
-    """Return (4,) focal lengths fx and fy and principal point cx and cy [px] in square images of that side [px].
+    """Return (4,) focal lengths fx and fy and principal point cx and cy [px] in square images of
+    that side [px].
 
     The centre of the first pixel is at (0.5, 0.5).
     """

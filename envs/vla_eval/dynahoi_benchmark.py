@@ -5,8 +5,9 @@ benchmarks:
     episodes_per_task: 5
     params: {split: test_small, image_size: 224}
 
-With ``inference: async``, ``latency_ms: 150`` and the server's ``n_action_steps`` the world moves on while the server
-infers, one inference at a time. What the requests really take counts in vla-eval's own live mode, with ``hz: 20``.
+With ``inference: async``, ``latency_ms: 150`` and the server's ``n_action_steps`` the world moves
+on while the server infers, one inference at a time. What the requests really take counts in
+vla-eval's own live mode, with ``hz: 20``.
 """
 
 import math
@@ -53,15 +54,21 @@ class DynahoiBenchmark(StepBenchmark):
         Args:
             kinds: names of the motions; all of the split if None.
             send_state: whether observations contain the hand's state.
-            inference, latency_ms: ``async`` and how long an inference of the server takes [ms], see `Inference`.
+            inference, latency_ms: ``async`` and how long an inference of the server takes [ms], see
+                `Inference`.
             n_action_steps: how many actions of a chunk the server hands out before it infers again.
-            fields: of the ``Recipe``, such as ``image_size``; the split is ``test_small`` by default.
+            fields: of the ``Recipe``, such as ``image_size``; the split is ``test_small`` by
+                default.
 
         Raises:
-            ValueError: for an unknown field or value, or a timing that cannot be had with such a server.
+            ValueError: for an unknown field or value, or a timing that cannot be had with such a
+                server.
         """
         super().__init__()
-        timing, server = Inference(inference, latency_ms), QueuedPolicy("the model server", n_action_steps)
+        timing, server = (
+            Inference(inference, latency_ms),
+            QueuedPolicy("the model server", n_action_steps),
+        )
         self._inference = None if inference == SYNC else StepwiseInference(server, timing)
         self._recipe = Recipe(split="test_small").changed(**fields)
         self._kinds, self._send_state = kinds, send_state
@@ -76,8 +83,12 @@ class DynahoiBenchmark(StepBenchmark):
         """Start episode ``episode_idx`` of the task; return the first observation."""
         if self._env is None or self._env.kind != task["name"]:
             self.cleanup()
-            self._env = DynahoiVectorEnv(1, recipe=self._recipe, kind=task["name"], inference=self._inference)
-        observation, _ = self._env.reset(seed=[int(task.get("episode_idx", 0))], options={ONE_EPISODE_OPTION: True})
+            self._env = DynahoiVectorEnv(
+                1, recipe=self._recipe, kind=task["name"], inference=self._inference
+            )
+        observation, _ = self._env.reset(
+            seed=[int(task.get("episode_idx", 0))], options={ONE_EPISODE_OPTION: True}
+        )
         return observation
 
     def step(self, action: Action) -> StepResult:
@@ -88,7 +99,9 @@ class DynahoiBenchmark(StepBenchmark):
         return StepResult(observation, float(reward[0]), bool(terminated[0] or truncated[0]), info)
 
     def make_obs(self, raw_obs: dict[str, Any], task: Task) -> Observation:
-        """Return image, instruction and, if asked for, the (18,) state in the harness's convention."""
+        """Return image, instruction and, if asked for, the (18,) state in the harness's
+        convention.
+        """
         assert self._env is not None
         observation: Observation = {
             "images": {"ego": raw_obs["pixels"]["ego"][0]},
@@ -106,7 +119,9 @@ class DynahoiBenchmark(StepBenchmark):
         return {"success": bool(info["is_success"][0]), **applying}
 
     def get_metric_keys(self) -> dict[str, str]:
-        """Return how to aggregate: rates and means alike are averages over the episodes they apply to."""
+        """Return how to aggregate: rates and means alike are averages over the episodes they apply
+        to.
+        """
         return dict.fromkeys(("success", *METRICS.names()), "mean")
 
     def get_metadata(self) -> dict[str, Any]:
@@ -115,13 +130,23 @@ class DynahoiBenchmark(StepBenchmark):
         return {"max_steps": steps, "action_dim": HAND_DOF}
 
     def get_action_spec(self) -> dict[str, DimSpec]:
-        """Return the action space: palm position [m], absolute in the home frame, and joint angles [rad]."""
-        return {"position": DimSpec("position", 3, "absolute_xyz"), "joints": DimSpec("joints", 15, "absolute_rad")}
+        """Return the action space: palm position [m], absolute in the home frame, and joint angles
+        [rad].
+        """
+        return {
+            "position": DimSpec("position", 3, "absolute_xyz"),
+            "joints": DimSpec("joints", 15, "absolute_rad"),
+        }
 
     def get_observation_spec(self) -> dict[str, DimSpec]:
         """Return the observation space."""
-        spec = {"image": DimSpec("image", 0, "rgb_hwc_uint8"), "language": DimSpec("language", 0, "language")}
-        return spec | ({"state": DimSpec("state", HAND_DOF, "palm_xyz_joint_rad")} if self._send_state else {})
+        spec = {
+            "image": DimSpec("image", 0, "rgb_hwc_uint8"),
+            "language": DimSpec("language", 0, "language"),
+        }
+        return spec | (
+            {"state": DimSpec("state", HAND_DOF, "palm_xyz_joint_rad")} if self._send_state else {}
+        )
 
     def get_hold_action(self, last_action: Action | None) -> Action:
         """Return the last target, which is absolute."""

@@ -1,4 +1,6 @@
-"""Every benchmark runs, in a tiny setting, as its first line says, and leaves its numbers in a file."""
+"""Every benchmark runs, in a tiny setting, as its first line says, and leaves its numbers in a
+file.
+"""
 
 import importlib
 import json
@@ -15,13 +17,19 @@ NAMES = sorted(path.stem for path in BENCHMARKS.glob("*.py") if path.stem != "ta
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., dict[str, Any]]:
-    """Run a benchmark in an empty folder, in this process, which has imported most of what it needs."""
+    """Run a benchmark in an empty folder, in this process, which has imported most of what it
+    needs.
+    """
     monkeypatch.chdir(tmp_path)
 
     def run(name: str, *options: str) -> dict[str, Any]:
-        monkeypatch.setattr("sys.argv", [f"{name}.py", "--tiny", "--json", "out/numbers.json", *options])
+        monkeypatch.setattr(
+            "sys.argv", [f"{name}.py", "--tiny", "--json", "out/numbers.json", *options]
+        )
         importlib.import_module(name).main()
-        return json.loads(Path("out/numbers.json").read_text(), parse_constant=pytest.fail)  # NaN, infinity
+        return json.loads(
+            Path("out/numbers.json").read_text(), parse_constant=pytest.fail
+        )  # NaN, infinity
 
     return run
 
@@ -43,7 +51,9 @@ def test_it_runs_and_writes_its_numbers(name: str, run: Callable[..., dict[str, 
 def test_an_eye_is_tested_on_what_a_policy_sees(run: Callable[..., dict[str, Any]]) -> None:
     checkpoint = BENCHMARKS.parent / "checkpoints" / "obact_standard"
     rows = run("eye", "--visited-by", str(checkpoint))["rows"]
-    assert 10 < sum(row["images"] for row in rows) < 60, "two episodes, from the window to the meeting"
+    assert 10 < sum(row["images"] for row in rows) < 60, (
+        "two episodes, from the window to the meeting"
+    )
 
 
 @pytest.mark.nightly

@@ -1,4 +1,6 @@
-"""Whatever is wrong is said in one sentence, which names it and what is right; exit code 2, and nothing is left."""
+"""Whatever is wrong is said in one sentence, which names it and what is right; exit code 2, and
+nothing is left.
+"""
 
 import shlex
 import shutil
@@ -23,7 +25,10 @@ CASES = [
     ("evaluate --policy hold --set a=1", "'hold'"),
     ("evaluate --policy hold --motions lop", "'lop' (did you mean 'lob'?)"),
     ("evaluate --policy hold --out recipe.yaml", "recipe.yaml is a file"),
-    ("evaluate --policy hold --sal 'a secret of sixteen letters' --out x", "unrecognized arguments: --sal"),
+    (
+        "evaluate --policy hold --sal 'a secret of sixteen letters' --out x",
+        "unrecognized arguments: --sal",
+    ),
     ("evaluate --policy hold --inference async --inference-ms 50", "'hold'"),
     ("evaluate --policy vlm", "--model NAME"),
     ("evaluate --policy vlm --model m --request-timeout 0", "got 0"),
@@ -63,11 +68,14 @@ CASES = [
     (f"{GENERATE} --actor nowhere", "'nowhere'"),
     (f"{GENERATE} --actor user/name --trust", "'user/name'"),
 ]
-"""A command, and what it says; a file recipe.yaml is there, and DATASET stands for one of six episodes."""
+"""A command, and what it says; a file recipe.yaml is there, and DATASET stands for one of six
+episodes."""
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
-def test_one_sentence_names_what_was_received_and_what_is_allowed(case, dataset, tmp_path, capsys, monkeypatch):
+def test_one_sentence_names_what_was_received_and_what_is_allowed(
+    case, dataset, tmp_path, capsys, monkeypatch
+):
     words, sentence = case
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("OPENAI_API_KEY", "secret")
@@ -88,14 +96,22 @@ DAMAGES: list[tuple[Callable[[Path], object], str]] = [
     (lambda root: (root / "meta/manifest.json").unlink(), "meta/manifest.json is missing"),
     (lambda root: shutil.rmtree(root / "data"), "there is no file in data"),
     (overwrite("videos/*/*/*"), "file-000.mp4"),
-    (column(ROWS, "length", lambda lengths: [0, *lengths[1:]]), "places episode 0 at episode_index 0"),
-    (column(ROWS, "dataset_to_index", lambda ends: [2**62, *ends[1:]]), "dataset_to_index 4611686018427387904"),
+    (
+        column(ROWS, "length", lambda lengths: [0, *lengths[1:]]),
+        "places episode 0 at episode_index 0",
+    ),
+    (
+        column(ROWS, "dataset_to_index", lambda ends: [2**62, *ends[1:]]),
+        "dataset_to_index 4611686018427387904",
+    ),
     (column(DATA, "index", lambda numbers: numbers[::-1]), "holds its frames in another order"),
 ]
 
 
 @pytest.mark.parametrize(("damage", "sentence"), DAMAGES)
-def test_filter_names_the_damaged_file(damage: Callable, sentence: str, dataset: Path, tmp_path: Path, capsys):
+def test_filter_names_the_damaged_file(
+    damage: Callable, sentence: str, dataset: Path, tmp_path: Path, capsys
+):
     broken = shutil.copytree(dataset, tmp_path / "broken")
     damage(broken)
     assert cli.main(["filter", str(broken), "--out", str(tmp_path / "out")]) == cli.BAD_INPUT

@@ -28,11 +28,15 @@ from tests.verify.test_forgeries import DATA, column
 
 
 @pytest.mark.parametrize("what", sorted(LISTS))
-def test_list_prints_every_entry_with_a_description(what: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_list_prints_every_entry_with_a_description(
+    what: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert cli.main(["list", what, "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
     assert rows
-    assert all(str(value) for row in rows for key, value in row.items() if key in ("description", "ranges"))
+    assert all(
+        str(value) for row in rows for key, value in row.items() if key in ("description", "ranges")
+    )
     assert cli.main(["list", what]) == 0
     table = capsys.readouterr().out.splitlines()
     assert len(table) == len(rows) + 2
@@ -41,7 +45,15 @@ def test_list_prints_every_entry_with_a_description(what: str, capsys: pytest.Ca
 
 def test_an_evaluation_goes_on_where_it_stopped_and_its_episodes_are_shown(tmp_path, capsys):
     out, shown = tmp_path / "r", {}
-    words = ["evaluate", "--policy", "constant_velocity", "--motions", "planar,constant", "--out", str(out)]
+    words = [
+        "evaluate",
+        "--policy",
+        "constant_velocity",
+        "--motions",
+        "planar,constant",
+        "--out",
+        str(out),
+    ]
     words += ["--image-size", "32", "--episodes"]
     assert cli.main([*words, "2", "--gifs", "1"]) == 0
     first = read_results(out).rows
@@ -90,11 +102,15 @@ def sizes(path: Path) -> list[tuple[int, int]]:
         return [(frame.width, frame.height) for frame in film.decode(video=0)]
 
 
-def test_an_episode_of_a_dataset(dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_episode_of_a_dataset(
+    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "episode.gif"
     assert view("--dataset", dataset, "--episode", 3, "--out", out) == 0
     assert "Catch the blue ball." in capsys.readouterr().out
-    assert total_ms(out.read_bytes()) == 23 * 50, "episode i of the made-up dataset has 20 + i frames"
+    assert total_ms(out.read_bytes()) == 23 * 50, (
+        "episode i of the made-up dataset has 20 + i frames"
+    )
     first, *_, last = pages(out.read_bytes())
     for page, phase in ((first, "observing"), (last, "localized")):
         assert np.abs(np.array(page.getpixel((0, 0))) - BORDERS[phase]).max() < 12
@@ -110,9 +126,13 @@ def test_a_sample_shows_what_the_dataset_holds_in_step(dataset: Path, tmp_path: 
     out = tmp_path / "sample.html"
     assert view("--dataset", dataset, "--sample", 2, "--out", out) == 0
     page = json.loads(out.read_text().split('id="data">')[1].split("</script>")[0])
-    assert [episode["index"] for episode in page["episodes"]] == [0, 5], "spread over the six of the only kind"
+    assert [episode["index"] for episode in page["episodes"]] == [0, 5], (
+        "spread over the six of the only kind"
+    )
     last = page["episodes"][1]
-    pose, action = (frame_column(dataset, key)[-last["frames"] :] for key in ("target.pose", "action"))
+    pose, action = (
+        frame_column(dataset, key)[-last["frames"] :] for key in ("target.pose", "action")
+    )
     np.testing.assert_allclose(last["target"], pose[:, :3], atol=1e-4)
     np.testing.assert_allclose(last["action"], action[:, :3], atol=1e-4)
     holed = shutil.copytree(dataset, tmp_path / "holed")
@@ -121,11 +141,15 @@ def test_a_sample_shows_what_the_dataset_holds_in_step(dataset: Path, tmp_path: 
     sheet = Image.open(io.BytesIO(base64.b64decode(last["sheet"].split(",")[1])))
     side = sheet.width // page["columns"]
     assert sheet.height // side == -(-last["frames"] // page["columns"])
-    assert stratified(["lob", "ramp", "lob", "lob", "ramp"], 2) == [0, 3, 1, 4], "as many of each kind"
+    assert stratified(["lob", "ramp", "lob", "lob", "ramp"], 2) == [0, 3, 1, 4], (
+        "as many of each kind"
+    )
     assert stratified(["lob", "ramp", "lob"], 9) == [0, 2, 1]
 
 
-def test_a_sample_needs_the_fingers_of_state_and_action(dataset: Path, tmp_path: Path, recwarn, capsys):
+def test_a_sample_needs_the_fingers_of_state_and_action(
+    dataset: Path, tmp_path: Path, recwarn, capsys
+):
     root = shutil.copytree(dataset, tmp_path / "d")
     (file,) = (root / "data").glob("*/*.parquet")
     table = pq.read_table(file)

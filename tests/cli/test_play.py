@@ -19,7 +19,9 @@ RECIPE = Recipe(split="val", image_size=32)
 
 
 class Fast:
-    """A clock on which every reading is a frame later, so that nobody ever waits for the next one."""
+    """A clock on which every reading is a frame later, so that nobody ever waits for the next
+    one.
+    """
 
     now_s = 0.0
 
@@ -41,7 +43,9 @@ def playing(kept: list[Episode], player, *, host: str = "127.0.0.1", token: str 
 
     async def both():
         address = asyncio.get_running_loop().create_future()
-        server = asyncio.ensure_future(PlayServer(game(kept, **options), host, 0, token).run(address.set_result))
+        server = asyncio.ensure_future(
+            PlayServer(game(kept, **options), host, 0, token).run(address.set_result)
+        )
         async with aiohttp.ClientSession() as session, asyncio.timeout(300):
             try:
                 return await player(session, (await address).replace("0.0.0.0", "127.0.0.1"))
@@ -102,9 +106,16 @@ def test_an_episode_is_shown_scored_and_compared():
 
 
 MALFORMED = [
-    "{", "[]", '{"x": 0}', '{"x": "a", "y": 0, "depth": 0, "closed": 0}', '{"x": NaN, "y": 0, "depth": 0, "closed": 0}',
-    "[" * 2000, '{"play": 3}', b"\x00", "9" * (MAX_MESSAGE_BYTES + 1),
-]  # fmt: skip
+    "{",
+    "[]",
+    '{"x": 0}',
+    '{"x": "a", "y": 0, "depth": 0, "closed": 0}',
+    '{"x": NaN, "y": 0, "depth": 0, "closed": 0}',
+    "[" * 2000,
+    '{"play": 3}',
+    b"\x00",
+    "9" * (MAX_MESSAGE_BYTES + 1),
+]
 
 
 def test_one_plays_at_a_time_and_a_malformed_message_ends_a_connection_and_nothing_else():
@@ -114,9 +125,13 @@ def test_one_plays_at_a_time_and_a_malformed_message_ends_a_connection_and_nothi
                 second = await session.ws_connect(socket_of(address))
                 await told(second, "ready")
                 assert second.close_code == BUSY
-                await (socket.send_bytes if isinstance(message, bytes) else socket.send_str)(message)
+                await (socket.send_bytes if isinstance(message, bytes) else socket.send_str)(
+                    message
+                )
                 await told(socket, "anything")
-                assert socket.close_code in (BAD_MESSAGE, aiohttp.WSCloseCode.MESSAGE_TOO_BIG), message[:50]
+                assert socket.close_code in (BAD_MESSAGE, aiohttp.WSCloseCode.MESSAGE_TOO_BIG), (
+                    message[:50]
+                )
         await (await seated(session, address)).close()
 
     playing([], player)
@@ -152,7 +167,10 @@ def test_a_flood_of_inputs_is_swallowed():
 
 def test_foreign_pages_rebound_names_and_missing_tokens_are_refused():
     async def status(session, address, **headers):
-        return [(await session.get(place, headers=headers)).status for place in (address, socket_of(address))]
+        return [
+            (await session.get(place, headers=headers)).status
+            for place in (address, socket_of(address))
+        ]
 
     async def local(session, address):
         evil = {"Origin": "http://evil.example"}, {"Host": "evil.example"}
@@ -173,7 +191,10 @@ def test_steering_moves_the_palm_where_it_points():
     world.begin(0, "test")
     home = Steering().command(world)
     right, up = Steering(x=1.0).command(world) - home, Steering(y=1.0).command(world) - home
-    forward, closed = Steering(depth=1.0).command(world) - home, Steering(closed=1.0).command(world) - home
+    forward, closed = (
+        Steering(depth=1.0).command(world) - home,
+        Steering(closed=1.0).command(world) - home,
+    )
     assert right[1] < -0.1, "the palm faces +x, so right is -y"
     assert up[2] > 0.1
     assert forward[0] > 0.1

@@ -22,7 +22,9 @@ def test_it_trains_the_recipe_shortened_on_all_kinds_of_motion() -> None:
     assert sorted(quickstart.KINDS[: quickstart.Size.kinds]) == sorted(MOTIONS)
 
 
-def test_it_trains_on_the_device_it_is_evaluated_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_trains_on_the_device_it_is_evaluated_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     said: list[list[str]] = []
     monkeypatch.setattr(quickstart, "_device", lambda: "cuda")
     monkeypatch.setattr(quickstart, "run_lerobot", lambda _, words, *__: said.append(words) or 1)
@@ -33,13 +35,19 @@ def test_it_trains_on_the_device_it_is_evaluated_on(tmp_path: Path, monkeypatch:
     assert all("--policy.device=cuda" in words for words in said)
 
 
-def test_an_evaluation_that_stopped_halfway_is_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The environment writes results after every kind of motion, so a folder with some of them is not all."""
+def test_an_evaluation_that_stopped_halfway_is_done_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The environment writes results after every kind of motion, so a folder with some of them is
+    not all.
+    """
     partial, results = tmp_path / "results" / "obact.partial", tmp_path / "results" / "obact"
     codes = iter((1, 0))
 
     def run_lerobot(_: str, words: list[str], *__: object) -> int:
-        (made,) = (Path(word.partition("=")[2]) for word in words if word.startswith("--env.results_dir="))
+        (made,) = (
+            Path(word.partition("=")[2]) for word in words if word.startswith("--env.results_dir=")
+        )
         assert partial in made.parents
         assert not made.exists(), "what an earlier run left is not mixed in"
         example_run(made, "obact", skill=0.5)
@@ -59,13 +67,19 @@ def test_options_decide_how_much_is_done(tmp_path: Path, monkeypatch: pytest.Mon
     sizes: list[quickstart.Size] = []
     monkeypatch.setattr(quickstart, "_run_stages", lambda _, size: sizes.append(size))
     monkeypatch.setattr(quickstart, "_conclude", lambda *_, **__: None)
-    for words in ([], ["--episodes", "4", "--steps", "10", "--evaluation-episodes", "3"], ["--tiny"]):
+    for words in (
+        [],
+        ["--episodes", "4", "--steps", "10", "--evaluation-episodes", "3"],
+        ["--tiny"],
+    ):
         assert main(["quickstart", "--out", str(tmp_path / str(len(words))), *words]) == 0
     assert sizes == [quickstart.Size(), quickstart.Size(4, 10, 3), quickstart.TINY]
 
 
 def test_the_core_install_is_told_what_the_quickstart_needs(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(quickstart.importlib.util, "find_spec", lambda name: None if name == "torch" else name)
+    monkeypatch.setattr(
+        quickstart.importlib.util, "find_spec", lambda name: None if name == "torch" else name
+    )
     assert main(["quickstart", "--out", str(tmp_path / "quickstart")]) == 2
     assert "training needs torch: pip install" in capsys.readouterr().err
     assert not any(tmp_path.iterdir())

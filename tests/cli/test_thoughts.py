@@ -21,7 +21,9 @@ from dynahoi_lerobot.world.batch import WorldBatch
 
 def place(mask: np.ndarray) -> np.ndarray:
     """Mean row and column of a mask, in pixels of the enlarged image."""
-    return np.argwhere(cv2.resize(mask.astype(np.uint8), (WIDTH_PX, WIDTH_PX), interpolation=0)).mean(0)
+    return np.argwhere(
+        cv2.resize(mask.astype(np.uint8), (WIDTH_PX, WIDTH_PX), interpolation=0)
+    ).mean(0)
 
 
 @pytest.mark.parametrize("camera", ["ego", "side"])
@@ -31,15 +33,29 @@ def test_a_sighting_is_drawn_where_the_camera_shows_the_target(camera: str):
     episode = next(evaluate(batch, EXPERTS["intercept"](), sample_specs(recipe, [0]), images=True))
     far = torch.full((1, 1, 3), -9.0)  # behind both cameras
     rest = {"forecast": far, "ahead_s": torch.zeros(1), "meeting": far[0], "weights": None}
-    thoughts = [SimpleNamespace(sighted=torch.tensor(pose[None, None, :3]), **rest) for pose in episode.target_pose]
+    thoughts = [
+        SimpleNamespace(sighted=torch.tensor(pose[None, None, :3]), **rest)
+        for pose in episode.target_pose
+    ]
     page = drawn(episode, thoughts, batch, view)[0, :WIDTH_PX]
     target = place((episode.images[view][0] == COLORS["target"]).all(-1))
     cross = place((page == SIGHTED).all(-1))
     assert np.abs(cross - target).max() < 12, "most of a target is seen; the cross spans 22 pixels"
 
 
-def test_a_policy_s_thoughts_become_a_film_at_the_size_it_was_trained_for(actor: Path, tmp_path: Path, capsys):
-    words = ["view", "--motion", "lob", "--policy", str(actor), "--thoughts", "--out", str(tmp_path / "lob.gif")]
+def test_a_policy_s_thoughts_become_a_film_at_the_size_it_was_trained_for(
+    actor: Path, tmp_path: Path, capsys
+):
+    words = [
+        "view",
+        "--motion",
+        "lob",
+        "--policy",
+        str(actor),
+        "--thoughts",
+        "--out",
+        str(tmp_path / "lob.gif"),
+    ]
     assert cli.main(words) == 0
     assert f"{actor}: Catch" in capsys.readouterr().out
     with Image.open(tmp_path / "lob.gif") as film:

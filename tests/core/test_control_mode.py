@@ -21,8 +21,9 @@ from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 
 CLOSING_RAD = 0.03
-"""One number closes all joints, and goals keep each of them within the grasp of a thin or thick object: 0.026 rad apart
-for the ring among these episodes, 0.045 for a cone, the most among 66 of ``train``."""
+"""One number closes all joints, and goals keep each of them within the grasp of a thin or thick
+object: 0.026 rad apart for the ring among these episodes, 0.045 for a cone, the most among 66 of
+``train``."""
 RECIPE = Recipe(control_mode="grasp", image_size=0, motions=("constant", "lob"))
 
 
@@ -30,14 +31,22 @@ def test_the_two_ways_are_inverse():
     rng, hand = np.random.default_rng(0), HANDS["capsule"]
     pose, state = (hand.open_joints(), hand.closed_joints()), rng.normal(size=(5, 18))
     action = np.column_stack([rng.normal(size=(5, 3)), rng.random(5)])
-    np.testing.assert_allclose(to_grasp(from_grasp(action, state, *pose), state, *pose), action, atol=1e-12)
-    np.testing.assert_allclose(from_grasp(np.array([[0, 0, 0, 9.0]]), state[:1], *pose)[0, 3:], pose[1])
+    np.testing.assert_allclose(
+        to_grasp(from_grasp(action, state, *pose), state, *pose), action, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        from_grasp(np.array([[0, 0, 0, 9.0]]), state[:1], *pose)[0, 3:], pose[1]
+    )
 
 
 def test_labels_of_both_modes_are_the_same_goals():
     hand = HANDS[RECIPE.hand]
     poses = hand.open_joints(), hand.closed_joints()
-    pairs = zip(record(RECIPE, range(4)), record(RECIPE.changed(control_mode="joints"), range(4)), strict=True)
+    pairs = zip(
+        record(RECIPE, range(4)),
+        record(RECIPE.changed(control_mode="joints"), range(4)),
+        strict=True,
+    )
     for grasp, joints in pairs:
         assert grasp.action.shape == (len(grasp), 4)
         np.testing.assert_array_equal(grasp.executed_action, joints.executed_action)
@@ -90,5 +99,7 @@ def test_a_checkpoint_tells_by_the_size_of_its_actions(tmp_path: Path):
     state = {ENVIRONMENT_STATE: PolicyFeature(FeatureType.ENV, (13,))}
     for size, told in ((4, {"control_mode": "grasp"}), (18, {})):
         output = {"action": PolicyFeature(FeatureType.ACTION, (size,))}
-        ACTConfig(input_features=state, output_features=output, device="cpu").save_pretrained(tmp_path / str(size))
+        ACTConfig(input_features=state, output_features=output, device="cpu").save_pretrained(
+            tmp_path / str(size)
+        )
         assert trained_for(tmp_path / str(size)) == told

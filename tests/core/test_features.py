@@ -9,23 +9,40 @@ from typing import Any
 import pytest
 
 from dynahoi_lerobot.core.agent import Observation
-from dynahoi_lerobot.core.arguments import add_options, argument, given_of, option, read_options, whole
+from dynahoi_lerobot.core.arguments import (
+    add_options,
+    argument,
+    given_of,
+    option,
+    read_options,
+    whole,
+)
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import FEATURES
 from dynahoi_lerobot.sampling.recipe import Recipe
 
 
 def test_every_array_of_an_episode_is_in_the_table_and_nothing_else() -> None:
-    arrays = {field.name for field in fields(Episode) if "ndarray" in str(field.type) or field.type is float}
-    assert arrays == {name for name, feature in FEATURES.items() if not feature.derived} | {"images"}
-    assert all(isinstance(getattr(Episode, name), property) for name, f in FEATURES.items() if f.derived)
+    arrays = {
+        field.name
+        for field in fields(Episode)
+        if "ndarray" in str(field.type) or field.type is float
+    }
+    assert arrays == {name for name, feature in FEATURES.items() if not feature.derived} | {
+        "images"
+    }
+    assert all(
+        isinstance(getattr(Episode, name), property) for name, f in FEATURES.items() if f.derived
+    )
 
 
 def test_observations_hold_what_policies_may_see_and_nothing_else_is_called_one() -> None:
     observed = {feature.name for feature in FEATURES.values() if feature.observed}
     assert {field.name for field in fields(Observation)} == {*observed, "images", "tasks"}
     for feature in FEATURES.values():
-        assert (feature.gym_key is None) == (not feature.observed and feature.name != "action"), feature.name
+        assert (feature.gym_key is None) == (not feature.observed and feature.name != "action"), (
+            feature.name
+        )
 
 
 def test_elements_are_named_and_keys_are_unique() -> None:
@@ -40,7 +57,9 @@ class Options:
     size: int | None = option(None, "half of 100 %", whole(1, 9))
     dry_run: bool = option(False, "a switch")
     sets: list[str] = option(list, "may be repeated")
-    rules: dict[str, Any] = given_of(Recipe, tuple(entry.name for entry in fields(Recipe)), protocol="more of it")
+    rules: dict[str, Any] = given_of(
+        Recipe, tuple(entry.name for entry in fields(Recipe)), protocol="more of it"
+    )
 
 
 def read(*words: str) -> Options:
@@ -69,7 +88,11 @@ def test_every_option_is_helped() -> None:
 
 def test_only_what_is_said_of_a_recipe_is_given_and_has_the_type_of_its_field():
     given = read(
-        "--motions=lob,ramp", "--image-size=0", "--perturbed-share=0.1", "--keep-failures", "--capture=contact"
+        "--motions=lob,ramp",
+        "--image-size=0",
+        "--perturbed-share=0.1",
+        "--keep-failures",
+        "--capture=contact",
     )
     assert given.rules == {
         "motions": ("lob", "ramp"), "image_size": 0, "perturbed_share": 0.1, "keep_failures": True,

@@ -22,7 +22,9 @@ with exclusive(Path(sys.argv[1])):
 
 
 def test_a_killed_process_loses_its_lock(tmp_path: Path):
-    with subprocess.Popen([sys.executable, "-c", HOLDER, str(tmp_path)], stdout=subprocess.PIPE) as process:
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(tmp_path)], stdout=subprocess.PIPE
+    ) as process:
         assert process.stdout.readline() == b"held\n"
         with pytest.raises(BlockingIOError, match=f"process {process.pid} on"), exclusive(tmp_path):
             pass
@@ -51,7 +53,10 @@ def test_only_the_folder_of_the_same_task_is_entered(tmp_path: Path):
     with working_folder(folder, {"recipe": {"split": "val"}}):
         (folder / "file").touch()
     assert sorted(path.name for path in folder.iterdir()) == ["file", "plan.json"]
-    with pytest.raises(FileExistsError, match="split"), working_folder(folder, {"recipe": {"split": "test"}}):
+    with (
+        pytest.raises(FileExistsError, match="split"),
+        working_folder(folder, {"recipe": {"split": "test"}}),
+    ):
         pass
     foreign.mkdir()
     (foreign / "thesis.tex").write_text("mine")
@@ -84,14 +89,25 @@ def test_files_that_belong_together_appear_together(tmp_path: Path):
         write_atomically({files[0]: lambda path: path.write_text("new"), files[1]: fail})
     assert not any((tmp_path / "out").iterdir())
     for text in ("one", "two"):
-        write_atomically({file: lambda path, text=text, name=file.name: path.write_text(text + name) for file in files})
+        write_atomically(
+            {
+                file: lambda path, text=text, name=file.name: path.write_text(text + name)
+                for file in files
+            }
+        )
     assert [file.read_text() for file in files] == ["twoa", "twob"]
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a", "b"]
 
 
 def test_what_a_killed_process_left_of_a_folder_is_removed_and_a_living_ones_is_not(tmp_path: Path):
-    code = "import os, sys; from pathlib import Path; from dynahoi_lerobot.core.files import new_folder\n"
-    code += "with new_folder(Path(sys.argv[1])) as f: f.mkdir(); print(end='', flush=True); os.kill(os.getpid(), 9)"
+    code = (
+        "import os, sys; from pathlib import Path; from dynahoi_lerobot.core.files import "
+        "new_folder\n"
+    )
+    code += (
+        "with new_folder(Path(sys.argv[1])) as f: f.mkdir(); print(end='', flush=True); "
+        "os.kill(os.getpid(), 9)"
+    )
     subprocess.run([sys.executable, "-c", code, str(tmp_path / "out")], check=False)
     assert len(list(tmp_path.iterdir())) == 1
     with new_folder(tmp_path / "out") as first, new_folder(tmp_path / "out") as second:

@@ -1,4 +1,6 @@
-"""Conversions of rotations against MuJoCo's at every size of angle; functions of angles against NumPy's."""
+"""Conversions of rotations against MuJoCo's at every size of angle; functions of angles against
+NumPy's.
+"""
 
 import mujoco
 import numpy as np
@@ -20,7 +22,9 @@ ANGLES_RAD = [0.0, 1e-12, 1e-8, 1e-4, 0.5, 2.0, np.pi - 1e-4, np.pi - 1e-8, np.p
 
 
 def rotations(angle_rad: float) -> tuple[np.ndarray, np.ndarray]:
-    """(K, 4) quaternions and (K, 3, 3) matrices by MuJoCo, about random axes and the three coordinate axes."""
+    """(K, 4) quaternions and (K, 3, 3) matrices by MuJoCo, about random axes and the three
+    coordinate axes.
+    """
     axes = np.vstack([np.random.default_rng(2).normal(size=(60, 3)), np.eye(3), -np.eye(3)])
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     quats, matrices = np.zeros((len(axes), 4)), np.zeros((len(axes), 9))
@@ -44,7 +48,9 @@ def test_rotations_are_converted_as_mujoco_does(angle_rad: float):
     for vector, matrix in zip(vectors, matrices, strict=True):
         quat, back = np.zeros(4), np.zeros(9)
         angle = np.linalg.norm(vector)
-        mujoco.mju_axisAngle2Quat(quat, vector / angle if angle else np.array([1.0, 0.0, 0.0]), angle)
+        mujoco.mju_axisAngle2Quat(
+            quat, vector / angle if angle else np.array([1.0, 0.0, 0.0]), angle
+        )
         mujoco.mju_quat2Mat(back, quat)
         np.testing.assert_allclose(back.reshape(3, 3), matrix, atol=1e-7)
 

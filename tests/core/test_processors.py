@@ -1,7 +1,8 @@
-"""The same bytes on every x86-64: nothing that decides an episode depends on the instructions that a processor has.
+"""The same bytes on every x86-64: nothing that decides an episode depends on the instructions that
+a processor has.
 
-OpenBLAS and NumPy have variants of their functions for each generation of processors, which round differently, and can
-be told not to use them.
+OpenBLAS and NumPy have variants of their functions for each generation of processors, which round
+differently, and can be told not to use them.
 """
 
 import pytest
@@ -17,30 +18,45 @@ from tests.world.playing import digest
 
 HERE = [name for name in __cpu_dispatch__ if __cpu_features__[name]]
 LEAST = {"NPY_DISABLE_CPU_FEATURES": " ".join(HERE), "OPENBLAS_CORETYPE": "Prescott"}
-PROCESSORS = {"no FMA in the C library": {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-FMA4,-AVX2"}, "the least": LEAST}
+PROCESSORS = {
+    "no FMA in the C library": {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-FMA4,-AVX2"},
+    "the least": LEAST,
+}
 FUNCTIONS = """
 import hashlib
 import numpy as np
 from dynahoi_lerobot.core.numerics import *
 a, b = np.random.default_rng(0).uniform(-9, 9, (2, 30_000))
-results = [sin(a), cos(a), tan(a), arcsin(a / 9), arctan2(a, b), cbrt(a), product(a.reshape(-1, 30), b.reshape(30, -1))]
+results = [sin(a), cos(a), tan(a), arcsin(a / 9), arctan2(a, b), cbrt(a),
+           product(a.reshape(-1, 30), b.reshape(30, -1))]
 print(hashlib.sha256(b"".join(result.tobytes() for result in results)).hexdigest())
 """
 
 
 def played() -> list[str]:
-    """What the expert does in its first episode of each kind, and in some behind a screen and with contacts."""
+    """What the expert does in its first episode of each kind, and in some behind a screen and with
+    contacts.
+    """
     lines, test = [], Recipe(split="test", image_size=0)
-    for recipe, count in ((test, 22), (test.changed(protocol="occluded"), 4), (test.changed(capture="contact"), 4)):
+    for recipe, count in (
+        (test, 22),
+        (test.changed(protocol="occluded"), 4),
+        (test.changed(capture="contact"), 4),
+    ):
         specs = sample_specs(recipe, range(count), threads=1)
         for episode in evaluate(WorldBatch(recipe, 11, threads=1), EXPERTS[recipe.expert](), specs):
             spec = specs[episode.meta.seed]
-            lines.append(f"{recipe.capture} {recipe.protocol} {spec.motion.name} {spec.appearance} {digest(episode)}")
+            lines.append(
+                f"{recipe.capture} {recipe.protocol} {spec.motion.name} {spec.appearance} "
+                f"{digest(episode)}"
+            )
     return lines
 
 
 def test_functions_do_not_depend_on_the_processor() -> None:
-    printed = {name: python("-c", FUNCTIONS, **environment) for name, environment in PROCESSORS.items()}
+    printed = {
+        name: python("-c", FUNCTIONS, **environment) for name, environment in PROCESSORS.items()
+    }
     assert set(printed.values()) == {python("-c", FUNCTIONS)}, printed
 
 

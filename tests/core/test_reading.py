@@ -1,4 +1,6 @@
-"""Hostile files of every kind in every place are refused in one sentence, soon, and before they take memory."""
+"""Hostile files of every kind in every place are refused in one sentence, soon, and before they
+take memory.
+"""
 
 import gc
 import json
@@ -61,7 +63,14 @@ def impatience() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("results") / "results"
-    info = RunInfo("me", "test", "attach", "dynahoi evaluate", "f", {"recipe": Recipe().stored(), "inference": "sync"})
+    info = RunInfo(
+        "me",
+        "test",
+        "attach",
+        "dynahoi evaluate",
+        "f",
+        {"recipe": Recipe().stored(), "inference": "sync"},
+    )
     write_results(folder, [synthetic_episode(seed, image_size=None) for seed in range(2)], info)
     return folder
 
@@ -74,16 +83,28 @@ OPENERS: dict[str, tuple[Callable[[Path], object], list[str]]] = {
     "results": (read_results, ["metrics.json", "episodes.parquet", "actions.npz"]),
     "dataset": (
         open_dataset,
-        ["meta/info.json", "meta/tasks.parquet", "meta/stats.json", "meta/episodes/chunk-000/file-000.parquet"]
+        [
+            "meta/info.json",
+            "meta/tasks.parquet",
+            "meta/stats.json",
+            "meta/episodes/chunk-000/file-000.parquet",
+        ]
         + ["data/chunk-000/file-000.parquet"],
     ),
     "actor": (
         play_nothing,
-        ["config.json", "model.safetensors", "policy_preprocessor.json", "policy_postprocessor.json"],
+        [
+            "config.json",
+            "model.safetensors",
+            "policy_preprocessor.json",
+            "policy_postprocessor.json",
+        ],
     ),
 }
 """For each fixture that makes an artefact: what opens it, and its files."""
-PLACES = [(artefact, opener, name) for artefact, (opener, names) in OPENERS.items() for name in names]
+PLACES = [
+    (artefact, opener, name) for artefact, (opener, names) in OPENERS.items() for name in names
+]
 
 
 def replace_by(make: Callable[[Path], object]) -> Callable[[Path], None]:
@@ -106,7 +127,9 @@ HOSTILE: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("kind", HOSTILE)
-def test_no_place_takes_a_hostile_file(kind: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+def test_no_place_takes_a_hostile_file(
+    kind: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
     for number, (artefact, opener, name) in enumerate(PLACES):
         whole = shutil.copytree(request.getfixturevalue(artefact), tmp_path / str(number))
         HOSTILE[kind](whole / name)
@@ -116,17 +139,28 @@ def test_no_place_takes_a_hostile_file(kind: str, request: pytest.FixtureRequest
         shutil.rmtree(whole)
 
 
-def test_an_image_is_what_its_cell_holds_and_as_large_as_the_dataset_says(tmp_path: Path, capsys) -> None:
+def test_an_image_is_what_its_cell_holds_and_as_large_as_the_dataset_says(
+    tmp_path: Path, capsys
+) -> None:
     root = write(tmp_path / "d", range(1), encoding=Encoding("images"))
     rows = pq.read_table(path := root / "data/chunk-000/file-000.parquet")
     os.mkfifo(tmp_path / "pipe")
     images = pa.array([{"bytes": None, "path": str(tmp_path / "pipe")}] * len(rows))
     pq.write_table(
-        rows.set_column(rows.schema.names.index("observation.images.ego"), "observation.images.ego", images), path
+        rows.set_column(
+            rows.schema.names.index("observation.images.ego"), "observation.images.ego", images
+        ),
+        path,
     )
-    assert main(["view", "--dataset", str(root), "--episode", "0", "--out", str(tmp_path / "x.gif")]) == 2
+    assert (
+        main(["view", "--dataset", str(root), "--episode", "0", "--out", str(tmp_path / "x.gif")])
+        == 2
+    )
     assert str(path) in capsys.readouterr().err
-    edit_json(root / "meta/info.json", lambda info: info["features"]["observation.images.ego"].update(shape=[4096] * 3))
+    edit_json(
+        root / "meta/info.json",
+        lambda info: info["features"]["observation.images.ego"].update(shape=[4096] * 3),
+    )
     with pytest.raises(ReadError, match="take more than"):
         list(read_episodes(root))
 
@@ -135,7 +169,9 @@ VALUES: list[Any] = [None, True, -1, 10**30, float("nan"), "x", [None], {"x": {}
 
 
 def changes(content: dict[str, Any], depth: int) -> Iterator[dict[str, Any]]:
-    """Yield a JSON object with one value in it replaced by another type, at some depth, or removed."""
+    """Yield a JSON object with one value in it replaced by another type, at some depth, or
+    removed.
+    """
     for key, held in content.items():
         yield {name: value for name, value in content.items() if name != key}
         yield from (content | {key: value} for value in VALUES)
@@ -151,7 +187,9 @@ def changes(content: dict[str, Any], depth: int) -> Iterator[dict[str, Any]]:
         ("dataset", "meta/manifest.json", Manifest.read),
     ],
 )
-def test_a_wrong_value_anywhere_is_read_or_refused_but_no_fault(artefact, name, opener, request, tmp_path):
+def test_a_wrong_value_anywhere_is_read_or_refused_but_no_fault(
+    artefact, name, opener, request, tmp_path
+):
     root = shutil.copytree(request.getfixturevalue(artefact), tmp_path / "copy")
     content = json.loads((root / name).read_text())
     for changed in changes(content, 2):
@@ -162,7 +200,17 @@ def test_a_wrong_value_anywhere_is_read_or_refused_but_no_fault(artefact, name, 
 
 def test_json_is_bounded(tmp_path: Path) -> None:
     surplus = ['{"x": {"y": 1, "y": 2}}', "[" + "[]," * 16 * 10**5 + "1]"]
-    for text in (*surplus, "NaN", "1e999", "9" * 30, "9" * 5000, "[" * 70 + "]" * 70, '"\\ud800"', "{", "\xff"):
+    for text in (
+        *surplus,
+        "NaN",
+        "1e999",
+        "9" * 30,
+        "9" * 5000,
+        "[" * 70 + "]" * 70,
+        '"\\ud800"',
+        "{",
+        "\xff",
+    ):
         (path := tmp_path / "x.json").write_text(text, "latin-1")
         with pytest.raises(ReadError, match=r"x\.json cannot be read"):
             read_json(path)
@@ -179,10 +227,14 @@ def test_json_is_bounded(tmp_path: Path) -> None:
 
 N = 10**7
 BOMBS: dict[str, Callable[[], dict[str, pa.Array]]] = {
-    "one list": lambda: {"x": pa.ListArray.from_arrays(pa.array([0, N], pa.int32()), pa.array(np.zeros(N, bool)))},
+    "one list": lambda: {
+        "x": pa.ListArray.from_arrays(pa.array([0, N], pa.int32()), pa.array(np.zeros(N, bool)))
+    },
     "null lists": lambda: {"x": pa.nulls(2000, pa.list_(pa.float32(), 10**5))},
     "one text": lambda: {
-        "x": pa.DictionaryArray.from_arrays(pa.array([0] * 5000, pa.int32()), pa.array(["x" * 2**20]))
+        "x": pa.DictionaryArray.from_arrays(
+            pa.array([0] * 5000, pa.int32()), pa.array(["x" * 2**20])
+        )
     },
 }
 
@@ -232,7 +284,10 @@ def test_tables_whose_size_nothing_tells_or_that_lack_a_column_are_refused(tmp_p
 
 
 def test_honest_tables_and_arrays_are_read(tmp_path: Path) -> None:
-    rows = [{"a.b": [1.0, 2.0], "text": ["x", None], "image": {"bytes": b"y" * 100}} for _ in range(1000)]
+    rows = [
+        {"a.b": [1.0, 2.0], "text": ["x", None], "image": {"bytes": b"y" * 100}}
+        for _ in range(1000)
+    ]
     pq.write_table(pa.Table.from_pylist(rows), path := tmp_path / "x.parquet")
     assert list(read_rows(path)) == read_table(path).to_pylist() == rows
     assert list(read_rows(path, ["text"])) == [{"text": ["x", None]}] * 1000
@@ -241,7 +296,9 @@ def test_honest_tables_and_arrays_are_read(tmp_path: Path) -> None:
 
 
 def test_arrays_that_grow_or_run_code_are_refused(tmp_path: Path) -> None:
-    np.savez_compressed(path := tmp_path / "x.npz", zeros=np.zeros(N), code=np.array([object()], object))
+    np.savez_compressed(
+        path := tmp_path / "x.npz", zeros=np.zeros(N), code=np.array([object()], object)
+    )
     for name, sentence in (("zeros", "expands to"), ("code", "array"), ("none", "none")):
         with pytest.raises(ReadError, match=sentence):
             read_arrays(path, [name])
@@ -270,15 +327,24 @@ def test_other_weights_and_sizes_are_refused(actor: Path, tmp_path: Path) -> Non
     save_file(weights | {name: weights[name].to(torch.int8)}, folder / "model.safetensors")
     with pytest.raises(ReadError, match="mistyped"):
         play_nothing(folder)
-    for number, change in enumerate(({"dim": 65536, "n_heads": 2}, {"width": 65536}, {"n_layers": 10**9})):
+    for number, change in enumerate(
+        ({"dim": 65536, "n_heads": 2}, {"width": 65536}, {"n_layers": 10**9})
+    ):
         folder = shutil.copytree(actor, tmp_path / str(number))
         edit_json(folder / "config.json", lambda config, change=change: config.update(change))
         with pytest.raises(ReadError):
             play_nothing(folder)
     folder = tiny_diffusion(tmp_path / "diffusion")
-    for key, number in (("num_train_timesteps", 10**7), ("horizon", 10**6), ("crop_ratio", 10.0**8)):
+    for key, number in (
+        ("num_train_timesteps", 10**7),
+        ("horizon", 10**6),
+        ("crop_ratio", 10.0**8),
+    ):
         whole = (folder / "config.json").read_text()
-        edit_json(folder / "config.json", lambda config, key=key, number=number: config.update({key: number}))
+        edit_json(
+            folder / "config.json",
+            lambda config, key=key, number=number: config.update({key: number}),
+        )
         with pytest.raises(ReadError, match=key):
             play_nothing(folder)
         (folder / "config.json").write_text(whole)
@@ -290,10 +356,18 @@ def test_statistics_that_do_not_fit_are_refused(actor: Path, tmp_path: Path) -> 
     with pytest.raises(ReadError, match=r"observation\.state"):
         play_nothing(saved(config, tmp_path / "none"))
     ones = {"std": torch.ones(18)}
-    play_nothing(saved(config, tmp_path / "fitting", {"observation.state": ones | {"mean": torch.zeros(18)}}))
+    play_nothing(
+        saved(config, tmp_path / "fitting", {"observation.state": ones | {"mean": torch.zeros(18)}})
+    )
     for shape in ((18, 18), (17,)):
-        folder = saved(config, tmp_path / str(shape), {"observation.state": ones | {"mean": torch.zeros(shape)}})
-        with pytest.raises(ReadError, match=r"policy_preprocessor\.json normalises observation\.state"):
+        folder = saved(
+            config,
+            tmp_path / str(shape),
+            {"observation.state": ones | {"mean": torch.zeros(shape)}},
+        )
+        with pytest.raises(
+            ReadError, match=r"policy_preprocessor\.json normalises observation\.state"
+        ):
             play_nothing(folder)
 
 

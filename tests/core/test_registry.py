@@ -28,21 +28,31 @@ class Borrowed(MOTIONS["constant"]):
 
 def test_a_plugin_is_listed_and_a_broken_one_is_named(tmp_path: Path) -> None:
     install(tmp_path, "sound", {"sound_motion": MOTION.format(name="glide")})
-    install(tmp_path, "broken", {"broken_motion": "1 / 0", "greedy_motion": MOTION.format(name="lob")})
+    install(
+        tmp_path, "broken", {"broken_motion": "1 / 0", "greedy_motion": MOTION.format(name="lob")}
+    )
     command = [sys.executable, "-m", "dynahoi_lerobot.cli.main", "list", "motions", "--json"]
     environment = os.environ | {"PYTHONPATH": str(tmp_path)}
     listed = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     names = [row["name"] for row in json.loads(listed.stdout)]
     assert "glide" in names
     assert names.count("lob") == 1
-    assert "plugin 'broken_motion' of broken (broken_motion) could not be imported: ZeroDivision" in listed.stderr
+    assert (
+        "plugin 'broken_motion' of broken (broken_motion) could not be imported: ZeroDivision"
+        in listed.stderr
+    )
     assert "the plugin 'greedy_motion' of broken" in listed.stderr
     assert "the motion name 'lob' is taken" in listed.stderr
 
 
-def test_an_edit_in_any_module_of_a_plugins_package_changes_the_code_fingerprint(tmp_path: Path) -> None:
+def test_an_edit_in_any_module_of_a_plugins_package_changes_the_code_fingerprint(
+    tmp_path: Path,
+) -> None:
     def fingerprint() -> str:
-        script = "from dynahoi_lerobot.sampling.fingerprint import code_fingerprint; print(code_fingerprint())"
+        script = (
+            "from dynahoi_lerobot.sampling.fingerprint import code_fingerprint; "
+            "print(code_fingerprint())"
+        )
         return python("-c", script, PYTHONPATH=str(tmp_path)).strip()
 
     (tmp_path / "borrowed").mkdir()

@@ -1,4 +1,5 @@
-"""Episodes and small datasets for tests without a simulator, and changes to them as a forger makes them.
+"""Episodes and small datasets for tests without a simulator, and changes to them as a forger makes
+them.
 
 Worker processes import this, so it stays light.
 """
@@ -30,7 +31,9 @@ def varied_episode(seed: int, image_size: int = 32, views: Sequence[str] = ()) -
     return dataclasses.replace(episode, meta=meta, images=images)
 
 
-def write(root: Path, seeds: range | list[int], image_size: int = 32, views: Sequence[str] = (), **options) -> Path:
+def write(
+    root: Path, seeds: range | list[int], image_size: int = 32, views: Sequence[str] = (), **options
+) -> Path:
     """Write the varied episodes of ``seeds`` as a dataset; ``options`` go to ``DatasetWriter``."""
     episodes = [varied_episode(seed, image_size, views) for seed in seeds]
     writer = DatasetWriter(root, dataset_features(episodes[0]), **options)
@@ -46,7 +49,9 @@ def sign(root: Path) -> None:
 
 
 def rewrite(root: Path, episodes: list[Episode], encoding: Encoding | None = None) -> None:
-    """Put other episodes into a dataset's place, with its manifest's promises about where they come from."""
+    """Put other episodes into a dataset's place, with its manifest's promises about where they come
+    from.
+    """
     manifest = Manifest.read(root)
     shutil.rmtree(root)
     writer = DatasetWriter(root, dataset_features(episodes[0]), encoding)

@@ -1,4 +1,6 @@
-"""Our datasets in the hands of LeRobot: the same as its own, opened, streamed, merged, and learned from."""
+"""Our datasets in the hands of LeRobot: the same as its own, opened, streamed, merged, and learned
+from.
+"""
 
 import json
 from pathlib import Path
@@ -43,15 +45,29 @@ def write_with_lerobot(root: Path, episodes: list[Episode], encoding) -> None:
     for feature in features.values():
         feature.pop("info", None)
         feature["shape"] = tuple(feature["shape"])
-    encoder = RGBEncoderConfig(vcodec="h264", crf=encoding.crf, preset=encoding.preset, g=encoding.gop, fast_decode=1)
+    encoder = RGBEncoderConfig(
+        vcodec="h264", crf=encoding.crf, preset=encoding.preset, g=encoding.gop, fast_decode=1
+    )
     dataset = LeRobotDataset.create(
-        REPO, 20, features, root=root, robot_type="dynahoi_hand", rgb_encoder=encoder, encoder_threads=1
+        REPO,
+        20,
+        features,
+        root=root,
+        robot_type="dynahoi_hand",
+        rgb_encoder=encoder,
+        encoder_threads=1,
     )
     for episode in episodes:
         arrays = content_arrays(episode, columns)
         for frame in range(len(episode)):
             row = {key: np.asarray(values[frame]) for key, values in arrays.items()}
-            dataset.add_frame(row | {"observation.images.ego": episode.images["ego"][frame], "task": episode.meta.task})
+            dataset.add_frame(
+                row
+                | {
+                    "observation.images.ego": episode.images["ego"][frame],
+                    "task": episode.meta.task,
+                }
+            )
         dataset.save_episode()
     dataset.finalize()
 
@@ -86,7 +102,9 @@ def test_info_and_tasks_are_the_same(pair):
 def test_frames_are_the_same(pair):
     ours, theirs = (pq.read_table(root / "data/chunk-000/file-000.parquet") for root in pair)
     assert ours.equals(theirs)
-    features = [json.loads(table.schema.metadata[b"huggingface"])["info"] for table in (ours, theirs)]
+    features = [
+        json.loads(table.schema.metadata[b"huggingface"])["info"] for table in (ours, theirs)
+    ]
     assert features[0] == features[1]
 
 
@@ -104,7 +122,9 @@ def test_episode_rows_are_the_same_where_lerobot_has_them(pair):
         # LeRobot computes in float32 and finds quantiles to within a 5000th of the range.
         key = name.rsplit("/", 1)[0]
         low, high = (np.array(tables[1][f"{key}/{end}"].to_pylist()) for end in ("min", "max"))
-        np.testing.assert_allclose(ours, theirs, atol=3e-4 + np.max(high - low) / 4900, err_msg=name)
+        np.testing.assert_allclose(
+            ours, theirs, atol=3e-4 + np.max(high - low) / 4900, err_msg=name
+        )
 
 
 def test_dataset_statistics_are_the_same_but_for_pinned_quantiles(pair):
@@ -114,7 +134,9 @@ def test_dataset_statistics_are_the_same_but_for_pinned_quantiles(pair):
         for name, value in stats.items():
             assert np.shape(ours[key][name]) == np.shape(value)
             if name in ("min", "max", "mean", "std", "count"):
-                np.testing.assert_allclose(ours[key][name], value, atol=3e-4, err_msg=f"{key} {name}")
+                np.testing.assert_allclose(
+                    ours[key][name], value, atol=3e-4, err_msg=f"{key} {name}"
+                )
 
 
 def test_decoded_frames_are_the_same(pair):
@@ -143,7 +165,9 @@ def test_opens_and_its_episode_columns_can_be_filtered_and_read(dataset):
     item = opened[first_of_third + 3]
     np.testing.assert_array_equal(item["action"], varied_episode(2).action[3])
     assert item["task"] == "Catch the red ball."
-    chosen = open_dataset(dataset, episode_filter=lambda ep: ep["seed"] >= 4 and ep["motion"] == "constant")
+    chosen = open_dataset(
+        dataset, episode_filter=lambda ep: ep["seed"] >= 4 and ep["motion"] == "constant"
+    )
     assert (chosen.episodes, chosen.num_frames) == ([4, 5], LENGTHS[4] + LENGTHS[5])
     assert chosen.meta.episodes[4]["object"] == "ball"
     check_images(chosen, 0, 4, 0)
@@ -157,7 +181,9 @@ def test_merge(dataset, tmp_path):
     check_images(merged, sum(LENGTHS) + 4, 6, 4)
     episode = list(read_episodes(tmp_path / "merged"))[7]
     for name in ("palm_distance", "state", "target_pose", "localized", "intercept_position"):
-        np.testing.assert_allclose(getattr(episode, name), getattr(varied_episode(7), name), err_msg=name)
+        np.testing.assert_allclose(
+            getattr(episode, name), getattr(varied_episode(7), name), err_msg=name
+        )
     assert episode.meta == varied_episode(7).meta
 
 
@@ -167,7 +193,10 @@ STATE = "observation.state"
 @pytest.fixture(scope="module")
 def stored(tmp_path_factory) -> tuple[Path, list[Episode]]:
     """A caught and a missed target."""
-    episodes = [synthetic_episode(0, image_size=None), synthetic_episode(1, image_size=None, miss_m=0.2)]
+    episodes = [
+        synthetic_episode(0, image_size=None),
+        synthetic_episode(1, image_size=None, miss_m=0.2),
+    ]
     assert [episode.success for episode in episodes] == [True, False]
     root = tmp_path_factory.mktemp("stored") / "d"
     write_episodes(root, episodes)
@@ -190,7 +219,10 @@ def test_the_replay_buffer_gets_a_reward_per_success_and_an_end_per_episode(stor
 def test_the_columns_are_those_of_lerobots_own_recordings(stored) -> None:
     features = open_dataset(stored[0]).meta.features
     for key, theirs in _env_features_to_dataset_features({}).items():
-        assert (features[key]["dtype"], tuple(features[key]["shape"])) == (theirs["dtype"], theirs["shape"]), key
+        assert (features[key]["dtype"], tuple(features[key]["shape"])) == (
+            theirs["dtype"],
+            theirs["shape"],
+        ), key
 
 
 WATCH, REACH, HOLD = SUBTASKS
@@ -204,8 +236,13 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_target_that_is_never_localised_is_never_to_be_held() -> None:
     rows = subtask_rows(np.array([False, False, True, True]), np.zeros(4, bool))
-    assert [(row["content"], row["timestamp"]) for row in rows] == [(WATCH, 0.0), (REACH, pytest.approx(0.1))]
-    assert [row["content"] for row in subtask_rows(np.ones(3, bool), np.array([False, True, True]))] == [REACH, HOLD]
+    assert [(row["content"], row["timestamp"]) for row in rows] == [
+        (WATCH, 0.0),
+        (REACH, pytest.approx(0.1)),
+    ]
+    assert [
+        row["content"] for row in subtask_rows(np.ones(3, bool), np.array([False, True, True]))
+    ] == [REACH, HOLD]
 
 
 def test_lerobot_finds_the_subtask_of_every_frame(root: Path) -> None:
@@ -213,9 +250,13 @@ def test_lerobot_finds_the_subtask_of_every_frame(root: Path) -> None:
     assert dataset.meta.has_language_columns
     (first, _) = read_episodes(root)
     samples = [dataset[i] for i in range(len(first))]
-    found = [active_at(float(s["timestamp"]), persistent=s[LANGUAGE], style="subtask")["content"] for s in samples]
+    found = [
+        active_at(float(s["timestamp"]), persistent=s[LANGUAGE], style="subtask")["content"]
+        for s in samples
+    ]
     wanted = [
-        HOLD if held else REACH if acts else WATCH for (_, acts), held in zip(first.phase, first.localized, strict=True)
+        HOLD if held else REACH if acts else WATCH
+        for (_, acts), held in zip(first.phase, first.localized, strict=True)
     ]
     assert found == wanted
     assert set(found) == {WATCH, REACH, HOLD}

@@ -35,7 +35,9 @@ def test_experts_recordings_pass(capture, options, count):
 
 def problems(episode: Episode, **changes: str) -> list[str]:
     """What is wrong with an episode under its own capture rule and control class, or others."""
-    return trajectory_problems(dataclasses.replace(episode, meta=dataclasses.replace(episode.meta, **changes)))
+    return trajectory_problems(
+        dataclasses.replace(episode, meta=dataclasses.replace(episode.meta, **changes))
+    )
 
 
 @pytest.mark.parametrize(
@@ -63,12 +65,16 @@ def test_the_speed_of_the_class_decides_what_is_a_jump():
         (problem,) = problems(moved, control_class=control_class)
         assert "m at frame 9; 0.06 m is possible" in problem
     assert not problems(moved, control_class="unlimited")
-    assert not problems(moved, control_class="standard", capture="contact"), "its gantry is as fast as `unlimited`"
+    assert not problems(moved, control_class="standard", capture="contact"), (
+        "its gantry is as fast as `unlimited`"
+    )
 
 
 def test_the_range_of_the_slides_is_that_of_the_world():
     """The same numbers in the home frame are possible at one home and not at another."""
     episode = synthetic_episode(0)
-    beside_the_end = dataclasses.replace(episode, home_position=np.array([1.9, 0.0, 1.0], np.float32))
+    beside_the_end = dataclasses.replace(
+        episode, home_position=np.array([1.9, 0.0, 1.0], np.float32)
+    )
     (problem,) = trajectory_problems(beside_the_end)
     assert "-3.90 to 0.10 m are possible" in problem

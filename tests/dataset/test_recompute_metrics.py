@@ -1,4 +1,6 @@
-"""Whoever has the parquet files gets the package's seven metrics, with a script that knows nothing of the package."""
+"""Whoever has the parquet files gets the package's seven metrics, with a script that knows nothing
+of the package.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -26,11 +28,14 @@ EPISODES = 11
 RECIPES = {
     "attach": Recipe(expert="pursuit", keep_failures=True),
     "attach_lenient": Recipe(capture="attach_lenient", expert="pursuit", keep_failures=True),
-    "late": Recipe(expert="constant_velocity", control_class="late", protocol="direct_act", keep_failures=True),
+    "late": Recipe(
+        expert="constant_velocity", control_class="late", protocol="direct_act", keep_failures=True
+    ),
     "contact": Recipe(capture="contact", expert="pursuit", keep_failures=True),
 }
 POSITION_ERROR_M = 3e-6
-"""Of distances from poses in float32; ellipsoids divide by a gradient that vanishes towards their middle."""
+"""Of distances from poses in float32; ellipsoids divide by a gradient that vanishes towards their
+middle."""
 
 
 def generated(recipe: Recipe, root: Path) -> list[Episode]:
@@ -42,7 +47,9 @@ def generated(recipe: Recipe, root: Path) -> list[Episode]:
             kept[episode.meta.seed] = episode
             yield episode
 
-    first = EPISODES if recipe.capture == "contact" else 0  # of the episodes before that, it holds none
+    first = (
+        EPISODES if recipe.capture == "contact" else 0
+    )  # of the episodes before that, it holds none
     manifest = generate(GenerationPlan(recipe, EPISODES, first), root, record=remember)
     return [kept[seed] for seed in manifest.seeds]
 
@@ -50,25 +57,37 @@ def generated(recipe: Recipe, root: Path) -> list[Episode]:
 def assert_same(root: Path, episodes: list[Episode]) -> None:
     values = [{name: measure(episode)[name] for name in SEVEN} for episode in episodes]
     wanted = pd.DataFrame(values).astype(float)
-    np.testing.assert_allclose(recompute_metrics.metrics(root)[list(SEVEN)], wanted, rtol=0, atol=1e-6, equal_nan=True)
+    np.testing.assert_allclose(
+        recompute_metrics.metrics(root)[list(SEVEN)], wanted, rtol=0, atol=1e-6, equal_nan=True
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", RECIPES)
-def test_a_dataset_with_failures_gives_the_same_metrics_and_fingertip_distances(name: str, tmp_path: Path) -> None:
-    assert "dynahoi" not in Path(recompute_metrics.__file__).read_text(), "it knows nothing of the package"
+def test_a_dataset_with_failures_gives_the_same_metrics_and_fingertip_distances(
+    name: str, tmp_path: Path
+) -> None:
+    assert "dynahoi" not in Path(recompute_metrics.__file__).read_text(), (
+        "it knows nothing of the package"
+    )
     episodes = generated(replace(RECIPES[name], image_size=0), tmp_path / "d")
     assert {episode.success for episode in episodes} == {True, False}
     assert_same(tmp_path / "d", episodes)
     store = Store(tmp_path / "d")
     for row in store.full_rows():
-        computed = recompute_metrics.fingertip_distance(pd.Series(row), store.frames(row).to_pandas())
+        computed = recompute_metrics.fingertip_distance(
+            pd.Series(row), store.frames(row).to_pandas()
+        )
         # a target that was knocked away is metres off, where float32 keeps fewer digits
-        np.testing.assert_allclose(computed, row["stats/fingertip_distance"], rtol=1e-7, atol=POSITION_ERROR_M)
+        np.testing.assert_allclose(
+            computed, row["stats/fingertip_distance"], rtol=1e-7, atol=POSITION_ERROR_M
+        )
 
 
 def test_hands_that_stand_still_give_the_same_metrics(tmp_path: Path) -> None:
     recipe = Recipe(split="test", image_size=0)
-    episodes = list(evaluate(WorldBatch(recipe, 4), EXPERTS["hold"](), sample_specs(recipe, range(4))))
+    episodes = list(
+        evaluate(WorldBatch(recipe, 4), EXPERTS["hold"](), sample_specs(recipe, range(4)))
+    )
     write_episodes(tmp_path / "d", episodes)
     assert_same(tmp_path / "d", episodes)

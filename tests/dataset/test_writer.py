@@ -12,7 +12,13 @@ import yaml
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import CAMERA_KEY, COMMAND_NAMES, FEATURES, episode_features
-from dynahoi_lerobot.dataset import episode_column, frame_column, open_dataset, read_episodes, write_episodes
+from dynahoi_lerobot.dataset import (
+    episode_column,
+    frame_column,
+    open_dataset,
+    read_episodes,
+    write_episodes,
+)
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.dataset.merge import copy_subset, merge
 from dynahoi_lerobot.dataset.paths import FileLimits
@@ -28,7 +34,9 @@ def assert_same(before: Episode, after: Episode) -> None:
         one, other = getattr(before, name), getattr(after, name)
         assert (one is None) == (other is None), name
         if one is not None:
-            np.testing.assert_array_equal(np.asarray(one, feature.dtype), np.asarray(other, feature.dtype), name)
+            np.testing.assert_array_equal(
+                np.asarray(one, feature.dtype), np.asarray(other, feature.dtype), name
+            )
 
 
 @pytest.mark.parametrize("codec", CODECS)
@@ -36,7 +44,11 @@ def test_episodes_come_back_as_they_were_and_give_the_same_bytes_again(codec, tm
     episodes = [varied_episode(seed, 64, ("side",)) for seed in range(3)]
     for name in "ab":
         write_episodes(tmp_path / name, episodes, Encoding(codec))
-    assert hash_files(tmp_path / "a") == hash_files(tmp_path / "b") == Manifest.read(tmp_path / "a").files
+    assert (
+        hash_files(tmp_path / "a")
+        == hash_files(tmp_path / "b")
+        == Manifest.read(tmp_path / "a").files
+    )
     for before, after in zip(episodes, read_episodes(tmp_path / "a"), strict=True):
         assert_same(before, after)
         assert list(after.images) == list(before.images) == ["ego", "side"]
@@ -111,7 +123,9 @@ def test_what_is_no_dataset_or_would_replace_one_is_refused_and_leaves_nothing(t
 
 
 @pytest.mark.parametrize("name", ["a[b]", "a*", "a?", "a::b", "a[b]/d"])
-def test_a_path_that_lerobot_takes_for_a_pattern_is_refused_and_nothing_is_made(tmp_path, dataset, name):
+def test_a_path_that_lerobot_takes_for_a_pattern_is_refused_and_nothing_is_made(
+    tmp_path, dataset, name
+):
     root = tmp_path / name
     for attempt in (
         lambda: write_episodes(root, [varied_episode(0)]),
@@ -129,7 +143,10 @@ def test_a_path_that_lerobot_takes_for_a_pattern_is_refused_and_nothing_is_made(
 def test_merging_gives_the_bytes_of_writing_at_once(tmp_path, codec):
     limits = FileLimits(data_mb=0.005, video_s=2.3)
     options = {"image_size": 32, "views": ("side",), "encoding": Encoding(codec), "limits": limits}
-    parts = [write(tmp_path / "a", range(3), **options), write(tmp_path / "b", range(3, 5), **options)]
+    parts = [
+        write(tmp_path / "a", range(3), **options),
+        write(tmp_path / "b", range(3, 5), **options),
+    ]
     merge(parts, tmp_path / "merged", limits=limits)
     whole = write(tmp_path / "whole", range(5), **options)
     assert hash_files(tmp_path / "merged") == hash_files(whole)
@@ -137,7 +154,10 @@ def test_merging_gives_the_bytes_of_writing_at_once(tmp_path, codec):
 
 
 def test_a_copy_of_some_episodes_gives_the_bytes_of_writing_them(tmp_path):
-    root, wanted = write(tmp_path / "d", range(6), views=("side",)), write(tmp_path / "w", [1, 2, 4], views=("side",))
+    root, wanted = (
+        write(tmp_path / "d", range(6), views=("side",)),
+        write(tmp_path / "w", [1, 2, 4], views=("side",)),
+    )
     assert copy_subset(root, tmp_path / "kept", [4, 1, 2]).provenance["kept"] == [1, 2, 4]
     found, held = hash_files(tmp_path / "kept"), hash_files(wanted)
     assert {name for name in held if found[name] != held[name]} == {"README.md"}
@@ -154,7 +174,9 @@ def test_a_copy_of_some_episodes_gives_the_bytes_of_writing_them(tmp_path):
 def test_merge_refuses_datasets_of_other_options_and_names_the_column(tmp_path, other, column):
     plain, unlike = write(tmp_path / "a", range(1)), write(tmp_path / "b", range(1), **other)
     for parts in ([plain, unlike], [unlike, plain]):
-        with pytest.raises(ValueError, match=f"other features than {re.escape(str(parts[0]))} .{column}"):
+        with pytest.raises(
+            ValueError, match=f"other features than {re.escape(str(parts[0]))} .{column}"
+        ):
             merge(parts, tmp_path / "merged")
     assert not (tmp_path / "merged").exists()
 
@@ -162,7 +184,9 @@ def test_merge_refuses_datasets_of_other_options_and_names_the_column(tmp_path, 
 def test_merge_refuses_versions_of_the_benchmark(tmp_path):
     old, new = tmp_path / "old", write(tmp_path / "new", range(1))
     made = varied_episode(1)
-    write_episodes(old, [dataclasses.replace(made, meta=dataclasses.replace(made.meta, benchmark="v0"))])
+    write_episodes(
+        old, [dataclasses.replace(made, meta=dataclasses.replace(made.meta, benchmark="v0"))]
+    )
     with pytest.raises(ValueError, match="'v0'"):
         merge([old, new], tmp_path / "merged")
     assert not (tmp_path / "merged").exists()
@@ -176,8 +200,12 @@ def test_a_frame_column_has_a_row_per_frame_wherever_it_is_stored(dataset):
         "target.pose": np.concatenate([episode.target_pose for episode in episodes]),
         "stats/target.pose": np.concatenate([episode.target_pose for episode in episodes]),
         "localized": np.concatenate([episode.localized for episode in episodes])[:, None],
-        "home_position": np.concatenate([np.tile(episode.home_position, (len(episode), 1)) for episode in episodes]),
-        "intercept.time": np.concatenate([[[episode.intercept_time]] * len(episode) for episode in episodes]),
+        "home_position": np.concatenate(
+            [np.tile(episode.home_position, (len(episode), 1)) for episode in episodes]
+        ),
+        "intercept.time": np.concatenate(
+            [[[episode.intercept_time]] * len(episode) for episode in episodes]
+        ),
     }
     for key, values in wanted.items():
         found = frame_column(dataset, key)
@@ -189,7 +217,11 @@ def test_a_frame_column_has_a_row_per_frame_wherever_it_is_stored(dataset):
 
 def test_an_episode_column_has_an_item_per_episode(dataset):
     episodes = list(read_episodes(dataset))
-    for key, name in (("target_path", "target_path"), ("target.pose", "target_pose"), ("open_joints", "open_joints")):
+    for key, name in (
+        ("target_path", "target_path"),
+        ("target.pose", "target_pose"),
+        ("open_joints", "open_joints"),
+    ):
         for found, episode in zip(episode_column(dataset, key), episodes, strict=True):
             np.testing.assert_array_equal(found, getattr(episode, name))
 
@@ -197,7 +229,15 @@ def test_an_episode_column_has_an_item_per_episode(dataset):
 def test_statistics_are_those_of_all_frames_and_of_each_episode(dataset):
     stats, store = json.loads((dataset / "meta/stats.json").read_text()), Store(dataset)
     shares = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
-    for key in ("action", "observation.state", "timestamp", "episode_index", "index", "task_index", "next.done"):
+    for key in (
+        "action",
+        "observation.state",
+        "timestamp",
+        "episode_index",
+        "index",
+        "task_index",
+        "next.done",
+    ):
         values = frame_column(dataset, key).astype(np.float64)
         pieces = np.split(values, np.cumsum([row["length"] for row in store.rows])[:-1])
         told = [(stats[key], values)]
@@ -207,18 +247,27 @@ def test_statistics_are_those_of_all_frames_and_of_each_episode(dataset):
         ]
         for found, part in told:
             for name, share in shares.items():
-                np.testing.assert_array_equal(found[name], np.quantile(part, share, axis=0, method="inverted_cdf"))
+                np.testing.assert_array_equal(
+                    found[name], np.quantile(part, share, axis=0, method="inverted_cdf")
+                )
             for name in ("min", "max", "mean", "std"):
                 wanted = getattr(part, name)(axis=0)
-                np.testing.assert_allclose(found[name], wanted, rtol=1e-6, atol=1e-9, err_msg=f"{key} {name}")
+                np.testing.assert_allclose(
+                    found[name], wanted, rtol=1e-6, atol=1e-9, err_msg=f"{key} {name}"
+                )
             assert found["count"] == [len(part)]
 
 
 def test_statistics_of_images_are_those_of_all_pixels(dataset):
     stats = json.loads((dataset / "meta/stats.json").read_text())[CAMERA_KEY]
-    pixels = np.concatenate([varied_episode(seed).images["ego"].reshape(-1, 3) for seed in range(6)]) / 255
+    pixels = (
+        np.concatenate([varied_episode(seed).images["ego"].reshape(-1, 3) for seed in range(6)])
+        / 255
+    )
     for name in ("min", "max", "mean", "std"):
-        np.testing.assert_allclose(np.ravel(stats[name]), getattr(pixels, name)(axis=0), rtol=1e-9, err_msg=name)
+        np.testing.assert_allclose(
+            np.ravel(stats[name]), getattr(pixels, name)(axis=0), rtol=1e-9, err_msg=name
+        )
     assert stats["count"] == [sum(row["length"] for row in Store(dataset).rows)]
 
 
@@ -228,7 +277,9 @@ def test_the_metadata_of_its_card_are_lerobots_and_more(dataset: Path):
     theirs = create_lerobot_dataset_card(license="apache-2.0").data.to_dict()
     ours = yaml.safe_load((dataset / "README.md").read_text().split("---")[1])
     assert set(theirs["tags"]) <= set(ours["tags"])
-    assert {name: ours[name] for name in theirs if name != "tags"} == {n: v for n, v in theirs.items() if n != "tags"}
+    assert {name: ours[name] for name in theirs if name != "tags"} == {
+        n: v for n, v in theirs.items() if n != "tags"
+    }
     assert ours["size_categories"] == ["n<1K"]
 
 

@@ -33,7 +33,9 @@ CODE_SUFFIXES = (".py", ".yaml", ".md", ".toml")
 
 @dataclass(frozen=True)
 class Block:
-    """One block of code: what its fence names, the code, why no test runs it, the file that it shall be saved as."""
+    """One block of code: what its fence names, the code, why no test runs it, the file that it
+    shall be saved as.
+    """
 
     language: str
     body: str
@@ -67,7 +69,9 @@ class Page:
 
     def _block(self, match: re.Match[str]) -> Block:
         before = self.text[: match.start()]
-        need, file = (found.group(1) if (found := rule.search(before)) else "" for rule in (NEED, SAVED))
+        need, file = (
+            found.group(1) if (found := rule.search(before)) else "" for rule in (NEED, SAVED)
+        )
         return Block(match.group(1), match.group(2), need, file)
 
     @property
@@ -79,17 +83,31 @@ class Page:
     def links(self) -> list[tuple[str, str]]:
         """The (text, target) of every link and picture to a file or heading of the project."""
         found = [(" ".join(text.split()), target) for text, target in LINK.findall(self.prose)]
-        return [(text, target) for text, target in found if "://" not in target and not target.startswith("mailto:")]
+        return [
+            (text, target)
+            for text, target in found
+            if "://" not in target and not target.startswith("mailto:")
+        ]
 
     @property
     def anchors(self) -> set[str]:
         """What headings are called in links."""
-        return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in HEADING.findall(self.prose)}
+        return {
+            re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+            for heading in HEADING.findall(self.prose)
+        }
 
     @property
     def commands(self) -> list[list[str]]:
-        """The words of every command line in code blocks and code spans, from the program's name on."""
-        shown = [words for block in self.all_blocks if block.language in ("", "bash") for words in block.commands]
+        """The words of every command line in code blocks and code spans, from the program's name
+        on.
+        """
+        shown = [
+            words
+            for block in self.all_blocks
+            if block.language in ("", "bash")
+            for words in block.commands
+        ]
         return shown + [words for span in self.spans if (words := _command(span))]
 
     @property
@@ -118,6 +136,8 @@ def _is_path(word: str) -> bool:
     if not re.fullmatch(r"[\w.\-/]+", word) or "..." in word:
         return False
     first = word.split("/", maxsplit=1)[0]
-    if first in ("data", "outputs", "results") or word.endswith(GENERATED):  # what commands may have made here
+    if first in ("data", "outputs", "results") or word.endswith(
+        GENERATED
+    ):  # what commands may have made here
         return False
     return ("/" in word and (ROOT / first).is_dir()) or word.endswith(CODE_SUFFIXES)

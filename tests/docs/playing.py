@@ -1,4 +1,6 @@
-"""Blocks of code of the pages, run as they are written but for their counts, and without a network."""
+"""Blocks of code of the pages, run as they are written but for their counts, and without a
+network.
+"""
 
 import glob
 import os
@@ -24,10 +26,14 @@ COUNTS = {
     "dynahoi verify": {"--replay": "1"},
     "dynahoi filter": {"--drop": "0"},
     "lerobot-train": {
-        "--steps": "2", "--batch_size": "2", "--env_eval_freq": "2", "--eval.n_episodes": "1", "--eval.batch_size": "1",
+        "--steps": "2",
+        "--batch_size": "2",
+        "--env_eval_freq": "2",
+        "--eval.n_episodes": "1",
+        "--eval.batch_size": "1",
     },
     "lerobot-eval": {"--eval.n_episodes": "1", "--eval.batch_size": "1"},
-}  # fmt: skip
+}
 """What replaces the values of these options, where a command has them."""
 FEWER = {
     "dynahoi quickstart": ["--tiny"],
@@ -36,10 +42,15 @@ FEWER = {
     "lerobot-train": ["--steps=2", "--batch_size=2", "--num_workers=0", "--log_freq=1"],
     "lerobot-eval": ["--env.task=lob"],
 }
-"""What is added to commands that do not have it: all of a split are too many, and so are all kinds of motion."""
+"""What is added to commands that do not have it: all of a split are too many, and so are all kinds
+of motion."""
 FEWER_WITH = {
     "--env.type=dynahoi": ["--env.task=lob"],
-    "--policy.type=act": ["--policy.dim_model=64", "--policy.n_heads=2", "--policy.dim_feedforward=64"],
+    "--policy.type=act": [
+        "--policy.dim_model=64",
+        "--policy.n_heads=2",
+        "--policy.dim_feedforward=64",
+    ],
     "--resume=true": ["--steps=3"],
     "--config_path=recipes/train/vqbet.yaml": ["--policy.n_vqvae_training_steps=1"],
 }
@@ -55,7 +66,8 @@ class Player:
 
     Attributes:
         placeholders: what stands for USER, NAME and URL.
-        hub: environment variables that lead to a Hub; commands that name one of its repositories get them.
+        hub: environment variables that lead to a Hub; commands that name one of its repositories
+            get them.
     """
 
     placeholders: dict[str, str] = field(default_factory=dict)
@@ -86,7 +98,9 @@ class Player:
             run(words)
 
     def _filled(self, word: str) -> list[str]:
-        """Return the word with its placeholders replaced, or the files that a pattern stands for."""
+        """Return the word with its placeholders replaced, or the files that a pattern stands
+        for.
+        """
         if "*" in word:
             return sorted(glob.glob(word))
         for name, value in self.placeholders.items():
@@ -97,7 +111,9 @@ class Player:
 
 
 def small(words: list[str]) -> list[str]:
-    """Return a command that does the same with fewer episodes and steps; of repeated options, the last count."""
+    """Return a command that does the same with fewer episodes and steps; of repeated options, the
+    last count.
+    """
     command = next((key for key in COUNTS | FEWER if _names(words, key)), "")
     given = {word.partition("=")[0] for word in words}
     fewer = [f"{name}={value}" for name, value in COUNTS.get(command, {}).items() if name in given]
@@ -125,16 +141,21 @@ def run_elsewhere(words: list[str], environment: dict[str, str]) -> None:
     """Run a command in a process of its own, because the Hub's client reads its settings once."""
     (script,) = entry_points(group="console_scripts", name=words[0])
     start = (
-        f"import sys; from {script.module} import {script.attr} as main; sys.argv[0] = {words[0]!r}; sys.exit(main())"
+        f"import sys; from {script.module} import {script.attr} as main; sys.argv[0] = "
+        f"{words[0]!r}; sys.exit(main())"
     )
     kept = {name: value for name, value in os.environ.items() if not name.startswith("HF_")}
     command = [sys.executable, "-c", start, *words[1:]]
-    done = subprocess.run(command, env=kept | environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, env=kept | environment, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, f"{' '.join(words)}: {done.stderr[-2000:]}"
 
 
 def check_installation(words: list[str]) -> None:
-    """Compare what a command installs with what this repository offers, because nothing is installed in a test."""
+    """Compare what a command installs with what this repository offers, because nothing is
+    installed in a test.
+    """
     groups = [words[i + 1] for i, word in enumerate(words) if word == "--group"]
     assert set(groups) <= set(PROJECT["dependency-groups"]), words
     if "install" not in words:
@@ -144,11 +165,15 @@ def check_installation(words: list[str]) -> None:
         if shutil.which(folder):
             continue  # a program that is installed here
         project = tomllib.loads((ROOT / folder / "pyproject.toml").read_text())["project"]
-        assert set(filter(None, extras.split(","))) <= set(project.get("optional-dependencies", {})), word
+        assert set(filter(None, extras.split(","))) <= set(
+            project.get("optional-dependencies", {})
+        ), word
 
 
 def wrapped(words: list[str]) -> list[str]:
-    """Return the command that ``uv run`` runs, nothing for other commands; this suite stands for ``pytest``."""
+    """Return the command that ``uv run`` runs, nothing for other commands; this suite stands for
+    ``pytest``.
+    """
     if words[:2] != ["uv", "run"]:
         return []
     command = words[4:] if words[2] == "--group" else words[2:]
@@ -163,4 +188,6 @@ def prepare(folder: Path) -> None:
 
 
 def _names(words: list[str], command: str) -> bool:
-    return words[: command.count(" ") + 1] == command.split() or (command == "lerobot-train" and TRAINING in words)
+    return words[: command.count(" ") + 1] == command.split() or (
+        command == "lerobot-train" and TRAINING in words
+    )

@@ -1,4 +1,6 @@
-"""Every block of code in the pages runs as it is written, with fewer episodes and steps, and leaves what it should."""
+"""Every block of code in the pages runs as it is written, with fewer episodes and steps, and leaves
+what it should.
+"""
 
 import importlib
 import io
@@ -38,7 +40,9 @@ REPLY = json.dumps(
 
 
 def name(page: Page) -> str:
-    return page.path.relative_to(ROOT / "docs" if page.path.is_relative_to(ROOT / "docs") else ROOT).as_posix()
+    return page.path.relative_to(
+        ROOT / "docs" if page.path.is_relative_to(ROOT / "docs") else ROOT
+    ).as_posix()
 
 
 PAGES = {name(page): page for page in pages()}
@@ -48,7 +52,9 @@ PAGES = {name(page): page for page in pages()}
 def test_every_block_has_a_language_that_is_tested(page: Page):
     for block in page.all_blocks:
         assert block.language in {*PROGRAMS, *DATA_FORMATS, *DRAWN}, block
-        assert block.language in PROGRAMS or not block.commands, "commands are in a block of the language bash"
+        assert block.language in PROGRAMS or not block.commands, (
+            "commands are in a block of the language bash"
+        )
         if block.language in DATA_FORMATS:
             assert DATA_FORMATS[block.language](block.body)
 
@@ -59,34 +65,53 @@ def test_every_block_that_is_not_run_has_a_reason_that_holds():
 
 
 def test_every_page_with_programs_is_played():
-    assert {page for page in PAGES if programs(PAGES[page])} == {page for group in GROUPS for page in group.split()}
+    assert {page for page in PAGES if programs(PAGES[page])} == {
+        page for group in GROUPS for page in group.split()
+    }
 
 
 @pytest.fixture
 def player(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Player]:
-    """An empty folder in which commands find the repository's folders, a Hub and a vision-language model."""
+    """An empty folder in which commands find the repository's folders, a Hub and a vision-language
+    model.
+    """
     before = Path.cwd()
     prepare(tmp_path)
     monkeypatch.setenv("OPENAI_API_KEY", "secret")
     with serving_hub() as hub, serving_model(lambda exchange: exchange.say(REPLY)) as (url, _):
-        home = {"HF_ENDPOINT": hub.url, "HF_HOME": str(tmp_path / "home"), "HF_TOKEN": TOKEN, "HF_HUB_DISABLE_XET": "1"}
+        home = {
+            "HF_ENDPOINT": hub.url,
+            "HF_HOME": str(tmp_path / "home"),
+            "HF_TOKEN": TOKEN,
+            "HF_HUB_DISABLE_XET": "1",
+        }
         yield Player({"USER": "me", "NAME": "tiny", "URL": url}, home)
     os.chdir(before)
 
 
-# -- outcomes ------------------------------------------------------------------------------------------------------
+# -- outcomes --------------------------------------------------------------------------------------
 
 
 def check_data(folder: Path) -> None:
     """What generate.md, dataset.md and lerobot.md leave."""
-    ours = sorted({path.parents[1] for path in folder.glob("data/*/meta/manifest.json")} - {folder / "data/slow"})
+    ours = sorted(
+        {path.parents[1] for path in folder.glob("data/*/meta/manifest.json")}
+        - {folder / "data/slow"}
+    )
     assert len(ours) >= 10
     for root in ours:
         run(["dynahoi", "verify", str(root)])
-        assert root.name == "onpolicy" or all(episode.success for episode in read_episodes(root)), root
-    edited = {path.parents[1] for path in folder.glob("data/**/meta/info.json")} - {*ours, folder / "data/slow"}
+        assert root.name == "onpolicy" or all(episode.success for episode in read_episodes(root)), (
+            root
+        )
+    edited = {path.parents[1] for path in folder.glob("data/**/meta/info.json")} - {
+        *ours,
+        folder / "data/slow",
+    }
     counts = {root.name: LeRobotDataset(f"local/{root.name}", root).num_episodes for root in edited}
-    assert counts == {"train": 1, "val": 1, "fewer": 1, "fewer_columns": 2}, "LeRobot's editing tool"
+    assert counts == {"train": 1, "val": 1, "fewer": 1, "fewer_columns": 2}, (
+        "LeRobot's editing tool"
+    )
     assert not (folder / "data/large").exists(), "a dry run"
     (throw, _) = read_episodes(folder / "data/fast_throws")
     assert throw.meta.motion in ("lob", "cross_throw")
@@ -95,7 +120,10 @@ def check_data(folder: Path) -> None:
 
 def check_results(folder: Path) -> None:
     """What the pages about training and evaluation leave."""
-    trained = {path.parents[3].name for path in folder.glob("outputs/*/checkpoints/last/pretrained_model/config.json")}
+    trained = {
+        path.parents[3].name
+        for path in folder.glob("outputs/*/checkpoints/last/pretrained_model/config.json")
+    }
     assert trained == {"obact", "act", "act_val", "act_state", "act_2", "act_hub"}
     (played,) = folder.glob("outputs/act_val/dynahoi/*")
     results = {path.name: read_results(path) for path in [played, *(folder / "results").iterdir()]}
@@ -103,17 +131,33 @@ def check_results(folder: Path) -> None:
     assert len(results.pop("lerobot").rows) == 1
     for label, found in results.items():
         assert len(found.rows) == 2, label
-    assert {label for label, found in results.items() if found.privileged} >= {"act_state", "pursuit", "occluded"}
+    assert {label for label, found in results.items() if found.privileged} >= {
+        "act_state",
+        "pursuit",
+        "occluded",
+    }
     assert not results["act"].privileged
     assert score(results["occluded"], "S_loc") == 1.0, "the expert knows where the target will be"
     rules = {name: found.rules for name, found in results.items()}
-    assert (rules["occluded"]["protocol"], rules["occluded"]["control_class"]) == ("occluded", "late")
-    assert (rules["direct_act"]["protocol"], rules["blind"]["protocol"]) == ("direct_act", "observe_then_blind")
-    assert (rules["unlimited"]["control_class"], rules["contact"]["capture"]) == ("unlimited", "contact")
+    assert (rules["occluded"]["protocol"], rules["occluded"]["control_class"]) == (
+        "occluded",
+        "late",
+    )
+    assert (rules["direct_act"]["protocol"], rules["blind"]["protocol"]) == (
+        "direct_act",
+        "observe_then_blind",
+    )
+    assert (rules["unlimited"]["control_class"], rules["contact"]["capture"]) == (
+        "unlimited",
+        "contact",
+    )
     assert "150" in rules["obact_async"]["inference"]
     for clip in ("replayed.gif", "held.gif", "planar.mp4", "episode.html"):
         assert (folder / clip).stat().st_size > 1000
-    assert all(label in (folder / "report.html").read_text() for label in ("obact_standard", "pursuit", "S_loc"))
+    assert all(
+        label in (folder / "report.html").read_text()
+        for label in ("obact_standard", "pursuit", "S_loc")
+    )
 
 
 def score(results: Results, metric: str) -> float:
@@ -121,17 +165,27 @@ def score(results: Results, metric: str) -> float:
 
 
 def before_first_hour(folder: Path) -> None:
-    """Run the quickstart: it leaves a dataset, a checkpoint, results and a report, and the pages find them there."""
+    """Run the quickstart: it leaves a dataset, a checkpoint, results and a report, and the pages
+    find them there.
+    """
     out = folder / "outputs/quickstart"
     command = [sys.executable, "-m", "dynahoi_lerobot.cli.main", "quickstart", "--tiny"]
-    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
+    done = subprocess.run(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False
+    )
     said = done.stdout
     assert done.returncode == 0, said
-    assert not [word for word in ("Warning", "WARNING", "warning", "Traceback", "torchcodec") if word in said]
+    assert not [
+        word
+        for word in ("Warning", "WARNING", "warning", "Traceback", "torchcodec")
+        if word in said
+    ]
     assert said.strip().endswith((out / "report.html").as_uri())
 
     run(["dynahoi", "verify", str(out / "dataset")])
-    assert json.loads((out / "training/pretrained_model/config.json").read_text())["type"] == "obact"
+    assert (
+        json.loads((out / "training/pretrained_model/config.json").read_text())["type"] == "obact"
+    )
     kinds = sorted(quickstart.KINDS[: quickstart.TINY.kinds])
     for name in ("obact", *quickstart.BASELINES):
         assert sorted(row["kind"] for row in read_results(out / "results" / name).rows) == kinds
@@ -158,12 +212,15 @@ GROUPS: dict[str, tuple[Callable[[Path], None] | None, Callable[[Path], None]]] 
     "train.md evaluate.md policies.md contact.md benchmark.md": (None, check_results),
     "README.md install.md environment.md extend.md play.md": (before_first_hour, check_first_hour),
 }
-"""Pages that are played one after the other in one folder; what is done before, and what is checked afterwards."""
+"""Pages that are played one after the other in one folder; what is done before, and what is checked
+afterwards."""
 REASONS: dict[str, Callable[[], bool]] = {
     "needs FFmpeg's libraries": lambda: not _torchcodec_works(),
     "waits for a person or the clock": lambda: True,
-    "needs the file above in the checkout; tests/docs/test_worked_example.py does that in a copy": lambda: True,
-    "needs the table above in the checkout; tests/test_robot_hands.py tries the tables that there are": lambda: True,
+    "needs the file above in the checkout; tests/docs/test_worked_example.py does that in "
+    "a copy": lambda: True,
+    "needs the table above in the checkout; tests/test_robot_hands.py tries the tables that "
+    "there are": lambda: True,
 }
 """Why a block is not run, and whether that holds here."""
 
@@ -175,8 +232,12 @@ def programs(page: Page) -> list[Block]:
 @pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.parametrize("group", GROUPS)
-def test_every_program_and_command_runs(group: str, player: Player, tmp_path: Path, subtests: pytest.Subtests):
-    """One after the other in one folder, because a dataset, a training and an evaluation serve several pages."""
+def test_every_program_and_command_runs(
+    group: str, player: Player, tmp_path: Path, subtests: pytest.Subtests
+):
+    """One after the other in one folder, because a dataset, a training and an evaluation serve
+    several pages.
+    """
     before, check = GROUPS[group]
     if before:
         before(tmp_path)

@@ -29,5 +29,10 @@ def test_every_cell_runs(path: Path, tmp_path: Path):
     for cell in notebook.cells:
         cell.source = "\n".join(TINY.get(line, line) for line in cell.source.split("\n"))
     NotebookClient(notebook, timeout=900, resources={"metadata": {"path": str(tmp_path)}}).execute()
-    shown = {kind for cell in notebook.cells for output in cell.get("outputs", []) for kind in output.get("data", {})}
+    shown = {
+        kind
+        for cell in notebook.cells
+        for output in cell.get("outputs", [])
+        for kind in output.get("data", {})
+    }
     assert {"image/png", "image/gif"} <= shown

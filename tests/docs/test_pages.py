@@ -1,4 +1,6 @@
-"""Everything that the pages point at is there: files, headings, classes, modules, images, commands, options."""
+"""Everything that the pages point at is there: files, headings, classes, modules, images, commands,
+options.
+"""
 
 import argparse
 import ast
@@ -14,8 +16,12 @@ from dynahoi_lerobot.core.arguments import add_options
 from dynahoi_lerobot.core.registry import GROUP
 from tests.docs.documents import ROOT, Page, pages
 
-PAGES = pytest.mark.parametrize("page", pages(), ids=lambda page: page.path.relative_to(ROOT).as_posix())
-DOTTED = re.compile(r"((?:dynahoi_lerobot|lerobot_policy_\w+|lerobot_env_\w+)(?:\.\w+)+)(?::(\w+))?")
+PAGES = pytest.mark.parametrize(
+    "page", pages(), ids=lambda page: page.path.relative_to(ROOT).as_posix()
+)
+DOTTED = re.compile(
+    r"((?:dynahoi_lerobot|lerobot_policy_\w+|lerobot_env_\w+)(?:\.\w+)+)(?::(\w+))?"
+)
 LARGEST_BYTES = 400_000
 
 
@@ -26,11 +32,17 @@ def test_every_link_path_name_and_module_is_there(page: Page):
     assert not [
         f"{text} in {target}"
         for text, target in page.links
-        if target.endswith(".py") and re.fullmatch(r"`[A-Za-z_][\w.]*`", text) and not text.endswith(".py`")
+        if target.endswith(".py")
+        and re.fullmatch(r"`[A-Za-z_][\w.]*`", text)
+        and not text.endswith(".py`")
         if not set(text.strip("`").split(".")) <= _defined(page.path.parent / target)
     ]
-    for module, name in {match.groups() for span in {*page.spans} - {GROUP} if (match := DOTTED.fullmatch(span))}:
-        assert name is None or hasattr(importlib.import_module(module), name), f"{module} has no {name}"
+    for module, name in {
+        match.groups() for span in {*page.spans} - {GROUP} if (match := DOTTED.fullmatch(span))
+    }:
+        assert name is None or hasattr(importlib.import_module(module), name), (
+            f"{module} has no {name}"
+        )
         importlib.import_module(module)
 
 
@@ -38,7 +50,9 @@ def test_every_image_is_small_and_shown():
     shown = {(page.path.parent / target).resolve() for page in pages() for _, target in page.links}
     images = sorted((ROOT / "docs" / "images").iterdir())
     assert images
-    assert not [image.name for image in images if image not in shown or image.stat().st_size > LARGEST_BYTES]
+    assert not [
+        image.name for image in images if image not in shown or image.stat().st_size > LARGEST_BYTES
+    ]
 
 
 def _leads_somewhere(page: Page, target: str) -> bool:
@@ -51,7 +65,9 @@ def _defined(path: Path) -> set[str]:
     """Return the names of all classes, functions and variables of a module."""
     nodes = list(ast.walk(ast.parse(path.read_text())))
     named = {node.name for node in nodes if isinstance(node, ast.ClassDef | ast.FunctionDef)}
-    return named | {node.id for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
+    return named | {
+        node.id for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
+    }
 
 
 HEADER = re.compile(r"^#\s+(dynahoi .*)$", re.MULTILINE)

@@ -1,4 +1,6 @@
-"""Every recipe is what its folder says; those of ``recipes/train`` run as their headers or pages say."""
+"""Every recipe is what its folder says; those of ``recipes/train`` run as their headers or pages
+say.
+"""
 
 import re
 import shlex
@@ -25,7 +27,9 @@ def recipes(*folders: str) -> list[Path]:
 
 
 def commands(path: Path) -> list[list[str]]:
-    """Return the words of the commands in the header of a recipe; what they install must be there."""
+    """Return the words of the commands in the header of a recipe; what they install must be
+    there.
+    """
     found = [shlex.split(line) for line in HEADER.findall(path.read_text())]
     for words in found:
         if words[0] == "uv":
@@ -35,7 +39,9 @@ def commands(path: Path) -> list[list[str]]:
 
 @pytest.mark.parametrize("path", recipes("generate", "eye"), ids=lambda path: path.stem)
 def test_a_recipe_of_training_data_is_read(path: Path):
-    assert (read_recipe(path).episodes if path.parent.name == "eye" else load_recipe(path)).split == "train"
+    assert (
+        read_recipe(path).episodes if path.parent.name == "eye" else load_recipe(path)
+    ).split == "train"
 
 
 @pytest.mark.parametrize("path", recipes("train", "zoo"), ids=lambda path: path.stem)
@@ -45,7 +51,9 @@ def test_a_training_recipe_leaves_the_device_to_lerobot_and_can_be_evaluated(pat
     values = yaml.safe_load(path.read_text())
     assert "device" not in values["policy"]
     assert (config.policy.push_to_hub, config.env.split, config.env_eval_freq) == (False, "val", 0)
-    (size,) = {feature.shape[-1] for feature in config.policy.image_features.values()} or {config.env.image_size}
+    (size,) = {feature.shape[-1] for feature in config.policy.image_features.values()} or {
+        config.env.image_size
+    }
     assert config.env.image_size == size
     generate, train, *_ = commands(path)
     assert generate[:2] == ["dynahoi", "generate"]

@@ -1,4 +1,6 @@
-"""The worked example of docs/extend.md, in a copy of the checkout: a motion that a contributor adds."""
+"""The worked example of docs/extend.md, in a copy of the checkout: a motion that a contributor
+adds.
+"""
 
 import re
 import shutil
@@ -10,7 +12,10 @@ from tests.docs.documents import ROOT, Page
 from tests.tools import python
 
 EXAMPLE = Page.read(ROOT / "docs" / "extend.md")
-RUN = "import sys; from dynahoi_lerobot.cli.main import main; assert not any(main(x.split()) for x in sys.argv[1:])"
+RUN = (
+    "import sys; from dynahoi_lerobot.cli.main import main; assert not any(main(x.split()) for "
+    "x in sys.argv[1:])"
+)
 """Runs commands of ``dynahoi``, each an argument, until one fails."""
 
 
@@ -25,7 +30,12 @@ def test_the_worked_example_works_as_written(tmp_path: Path):
     (tmp_path / path).write_text(source)
     commands = [words for words in EXAMPLE.commands if Path(path).stem in " ".join(words)]
     assert [program for program, *_ in commands] == ["dynahoi", "pytest", "dynahoi", "dynahoi"]
-    python("-c", RUN, *(" ".join(words) for program, *words in commands if program == "dynahoi"), cwd=tmp_path)
+    python(
+        "-c",
+        RUN,
+        *(" ".join(words) for program, *words in commands if program == "dynahoi"),
+        cwd=tmp_path,
+    )
     said = python("-m", "pytest", "-p", "no:cacheprovider", *commands[1][1:], cwd=tmp_path)
     assert re.search(r"[1-9]\d* passed", said)
     assert (tmp_path / "spiral.gif").read_bytes()[:4] == b"GIF8"

@@ -1,4 +1,6 @@
-"""``--env.type=dynahoi``: found by LeRobot, played by its evaluation loop, measured in the result folder."""
+"""``--env.type=dynahoi``: found by LeRobot, played by its evaluation loop, measured in the result
+folder.
+"""
 
 import hashlib
 import json
@@ -48,37 +50,59 @@ def test_one_suite_per_category_one_task_per_kind() -> None:
     assert all(sorted(suite) == list(range(len(suite))) for suite in suites.values())
 
 
-def test_lerobots_loop_fills_the_result_folder(act: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lerobots_loop_fills_the_result_folder(
+    act: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     options = ("--env.split=test_small", "--eval.n_episodes=5", f"--env.salt={SALT}")
     results = through_lerobot(act, tmp_path, monkeypatch, *options)
-    assert [row["kind"] for row in results.rows] == ["constant"] * 5, "the sixth is the first again, and counts once"
+    assert [row["kind"] for row in results.rows] == ["constant"] * 5, (
+        "the sixth is the first again, and counts once"
+    )
     assert len({row["seed"] for row in results.rows}) == 5
     summary = results.summary
     assert summary["S_loc"].n == 5
     assert (summary["E_loc"].value or 0.0) > 0.3
     assert results.info.split == stream_label("test_small", SALT)
-    assert not [path for path in tmp_path.glob("*.*") if SALT.encode() in path.read_bytes()], "it stays hidden"
+    assert not [path for path in tmp_path.glob("*.*") if SALT.encode() in path.read_bytes()], (
+        "it stays hidden"
+    )
 
 
 def test_lerobots_loop_and_ours_give_the_same_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Of a policy that samples, in worlds of its own here and together there."""
-    options = ("--env.task=constant,lob", "--env.split=val", "--env.image_size=96", "--eval.batch_size=1")
+    options = (
+        "--env.task=constant,lob",
+        "--env.split=val",
+        "--env.image_size=96",
+        "--eval.batch_size=1",
+    )
     found = through_lerobot(SHIPPED, tmp_path, monkeypatch, *options, "--eval.n_episodes=1")
     agent, recipe = PolicyAgent(str(SHIPPED), "cpu"), found.recipe()
     specs = sample_specs(recipe, [row["seed"] for row in found.rows])
-    ours = {episode.meta.seed: episode for episode in evaluate(WorldBatch(recipe, len(specs)), agent, specs)}
+    ours = {
+        episode.meta.seed: episode
+        for episode in evaluate(WorldBatch(recipe, len(specs)), agent, specs)
+    }
     assert len(ours) == 2
     for row, actions in zip(found.rows, found.actions, strict=True):
         episode = ours[row["seed"]]
         np.testing.assert_array_equal(actions, np.float32(episode.action))
         wanted = episode_row(episode)
-        told = {name: value for name, value in row.items() if not (isinstance(value, float) and np.isnan(value))}
+        told = {
+            name: value
+            for name, value in row.items()
+            if not (isinstance(value, float) and np.isnan(value))
+        }
         assert [name for name, value in told.items() if value != wanted[name]] == ["agent"]
     tasks = json.loads((tmp_path / "lerobot" / "eval_info.json").read_text())["per_task"]
-    assert [s for task in tasks for s in task["metrics"]["successes"]] == [row["success"] for row in found.rows]
+    assert [s for task in tasks for s in task["metrics"]["successes"]] == [
+        row["success"] for row in found.rows
+    ]
 
 
-@pytest.mark.parametrize("option", [{"renderer": "tilez"}, {"hand": "claw"}, {"max_parallel_tasks": 2}])
+@pytest.mark.parametrize(
+    "option", [{"renderer": "tilez"}, {"hand": "claw"}, {"max_parallel_tasks": 2}]
+)
 def test_what_cannot_be_played_is_refused_by_the_config(option: dict):
     (value,) = option.values()
     with pytest.raises(ValueError, match=str(value)):
@@ -86,7 +110,9 @@ def test_what_cannot_be_played_is_refused_by_the_config(option: dict):
 
 
 def test_features_are_the_datasets_and_further_views_reach_the_policy(tmp_path: Path) -> None:
-    config = DynahoiEnvConfig(**SMALL, views=("side", "ego_depth"), task="planar", results_dir=str(tmp_path))
+    config = DynahoiEnvConfig(
+        **SMALL, views=("side", "ego_depth"), task="planar", results_dir=str(tmp_path)
+    )
     wanted = {f"observation.images.{view}": (3, 32, 32) for view in ("ego", "side", "ego_depth")}
     others = {"observation.state": (18,), "observation.phase": (2,), "action": (18,)}
     features = env_to_policy_features(config)
@@ -107,7 +133,9 @@ def said(monkeypatch: pytest.MonkeyPatch) -> Callable:
     return answer
 
 
-def test_results_are_named_after_the_policy_and_say_which_weights_lerobot_eval_played(tmp_path: Path, said) -> None:
+def test_results_are_named_after_the_policy_and_say_which_weights_lerobot_eval_played(
+    tmp_path: Path, said
+) -> None:
     (tmp_path / "config.json").write_text('{"type": "act"}')
     (tmp_path / "model.safetensors").write_bytes(b"weights")
     weights = {"model.safetensors": hashlib.sha256(b"weights").hexdigest()}
@@ -125,9 +153,14 @@ def test_results_are_named_after_the_policy_and_say_which_weights_lerobot_eval_p
 def test_results_go_below_lerobots_output_folder(tmp_path: Path, said) -> None:
     (tmp_path / "act.yaml").write_text("output_dir: outputs/act")
     recipe = f"--config_path={tmp_path / 'act.yaml'}"
-    for words in (["--output_dir=out/run"], ["--seed", "1", "--output_dir", "out/run", "--env.fps=20"]):
+    for words in (
+        ["--output_dir=out/run"],
+        ["--seed", "1", "--output_dir", "out/run", "--env.fps=20"],
+    ):
         assert said(["lerobot-eval", *words], new_results_folder).parent == Path("out/run/dynahoi")
-        assert said(["lerobot-train", recipe, *words], new_results_folder).parent == Path("out/run/dynahoi")
+        assert said(["lerobot-train", recipe, *words], new_results_folder).parent == Path(
+            "out/run/dynahoi"
+        )
     assert said(["lerobot-eval"], new_results_folder).parent == Path("outputs/dynahoi")
     assert said(["lerobot-train", recipe], new_results_folder).parent == Path("outputs/act/dynahoi")
 
@@ -145,7 +178,9 @@ def test_a_checkpoint_is_played_under_the_rules_it_was_trained_for(tmp_path, mon
 
 
 def test_a_policy_of_two_cameras_gets_both(monkeypatch, capsys):
-    monkeypatch.setattr("sys.argv", ["lerobot-eval", f"--policy.path={SHIPPED.with_name('obact_two')}"])
+    monkeypatch.setattr(
+        "sys.argv", ["lerobot-eval", f"--policy.path={SHIPPED.with_name('obact_two')}"]
+    )
     assert DynahoiEnvConfig().views == ("side",)
     assert "views side" in capsys.readouterr().out
     assert DynahoiEnvConfig(views=()).views == ()
@@ -156,11 +191,27 @@ def act(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tiny_act(tmp_path_factory.mktemp("act"), FEATURES["input_features"])
 
 
-def through_lerobot(policy: Path, out: Path, monkeypatch: pytest.MonkeyPatch, *options: str) -> Results:
-    given = {"--policy.path": policy, "--env.type": "dynahoi", "--env.task": "constant", "--env.image_size": 32}
-    given |= {"--env.results_dir": out, "--output_dir": out / "lerobot", "--seed": 0, "--eval.batch_size": 2}
-    given |= {"--eval.n_episodes": 2, "--eval.use_async_envs": "false"} | dict(word.split("=") for word in options)
-    monkeypatch.setattr(sys, "argv", ["lerobot-eval", *(f"{name}={value}" for name, value in given.items())])
+def through_lerobot(
+    policy: Path, out: Path, monkeypatch: pytest.MonkeyPatch, *options: str
+) -> Results:
+    given = {
+        "--policy.path": policy,
+        "--env.type": "dynahoi",
+        "--env.task": "constant",
+        "--env.image_size": 32,
+    }
+    given |= {
+        "--env.results_dir": out,
+        "--output_dir": out / "lerobot",
+        "--seed": 0,
+        "--eval.batch_size": 2,
+    }
+    given |= {"--eval.n_episodes": 2, "--eval.use_async_envs": "false"} | dict(
+        word.split("=") for word in options
+    )
+    monkeypatch.setattr(
+        sys, "argv", ["lerobot-eval", *(f"{name}={value}" for name, value in given.items())]
+    )
     lerobot_eval()
     return read_results(out)
 
@@ -168,20 +219,27 @@ def through_lerobot(policy: Path, out: Path, monkeypatch: pytest.MonkeyPatch, *o
 LATE = ("--env.latency_ms=150", "--env.inference=async")
 
 
-def test_a_policy_with_a_queue_plays_as_with_whole_chunks(act: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_policy_with_a_queue_plays_as_with_whole_chunks(
+    act: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     """The same actions as by ``dynahoi evaluate --inference async --inference-ms 150``."""
     found = through_lerobot(act, tmp_path, monkeypatch, *LATE)
     assert found.info.extra["inference"] == "async 150 ms"
     agent, recipe = RealTimeAgent(PolicyAgent(str(act)), Inference("async", 150.0)), found.recipe()
     specs = sample_specs(recipe, sorted(row["seed"] for row in found.rows))
-    expected = {episode.meta.seed: episode.action for episode in evaluate(WorldBatch(recipe, 2), agent, specs)}
+    expected = {
+        episode.meta.seed: episode.action
+        for episode in evaluate(WorldBatch(recipe, 2), agent, specs)
+    }
     assert len(expected) == 2
     for row, actions in zip(found.rows, found.actions, strict=True):
         np.testing.assert_allclose(actions, expected[row["seed"]], atol=1e-6)
         assert np.ptp(actions, axis=0).max() > 0.01, "the hand moves"
 
 
-def test_a_policy_with_a_memory_or_another_queue_cannot_be_late(act: Path, actor: Path, tmp_path, monkeypatch):
+def test_a_policy_with_a_memory_or_another_queue_cannot_be_late(
+    act: Path, actor: Path, tmp_path, monkeypatch
+):
     with pytest.raises(ValueError, match="'obact' looks back 10 frames"):
         through_lerobot(actor, tmp_path, monkeypatch, *LATE)
     with pytest.raises(ValueError, match="n_action_steps is 5, but the policy's is 8"):
@@ -204,7 +262,9 @@ def test_lerobot_loads_the_file_and_plays(tmp_path: Path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     module = _import_hub_module(str(FILE), "you/dynahoi")
     config = SimpleNamespace(task="lob,pendulum")
-    suites = _normalize_hub_result(_call_make_env(module, n_envs=2, use_async_envs=False, cfg=config))
+    suites = _normalize_hub_result(
+        _call_make_env(module, n_envs=2, use_async_envs=False, cfg=config)
+    )
     assert {name: len(tasks) for name, tasks in suites.items()} == {"projectile": 1, "pendulum": 3}
     env = suites["projectile"][0]
     observation, _ = env.reset(seed=[0, 1])

@@ -1,4 +1,6 @@
-"""The simulated hand behind LeRobot's robot interface: its clock, its episodes, and LeRobot's own programs on it."""
+"""The simulated hand behind LeRobot's robot interface: its clock, its episodes, and LeRobot's own
+programs on it.
+"""
 
 import asyncio
 import socket
@@ -12,7 +14,12 @@ import pytest
 from lerobot.robots import make_robot_from_config
 from lerobot.teleoperators import make_teleoperator_from_config
 from lerobot.utils.errors import DeviceNotConnectedError
-from lerobot_robot_dynahoi import DynahoiBrowserConfig, DynahoiExpertConfig, DynahoiRobot, DynahoiRobotConfig
+from lerobot_robot_dynahoi import (
+    DynahoiBrowserConfig,
+    DynahoiExpertConfig,
+    DynahoiRobot,
+    DynahoiRobotConfig,
+)
 
 from dynahoi_lerobot.evaluate.results import Results, read_results
 
@@ -37,7 +44,9 @@ def _disconnected():
 
 
 def robot_on(clock: Clock, **options) -> DynahoiRobot:
-    robot = DynahoiRobot(DynahoiRobotConfig(**{"task": "constant", "image_size": 32} | options), clock)
+    robot = DynahoiRobot(
+        DynahoiRobotConfig(**{"task": "constant", "image_size": 32} | options), clock
+    )
     robot.connect()
     return robot
 
@@ -78,7 +87,9 @@ def test_the_world_moves_whether_or_not_an_action_comes():
     robot = robot_on(clock)
     before = robot.get_observation()
     clock.now_s += 5.0
-    assert np.array_equal(before["ego"], robot.get_observation()["ego"]), "it waits for the first action"
+    assert np.array_equal(before["ego"], robot.get_observation()["ego"]), (
+        "it waits for the first action"
+    )
     hold = {name: before[name] for name in robot.action_features}
     robot.send_action(hold)
     clock.now_s += 10 * FRAME_S
@@ -115,7 +126,9 @@ def test_the_next_episode_begins_when_lerobot_comes_back_from_a_pause():
     clock.now_s += FRAME_S
     robot.send_action(dict.fromkeys(robot.action_features, 0.0))
     robot.get_observation()
-    assert robot.world.spec.seed == first, "what LeRobot does in its reset phase does not begin an episode"
+    assert robot.world.spec.seed == first, (
+        "what LeRobot does in its reset phase does not begin an episode"
+    )
     clock.now_s += 1.0
     robot.get_observation()
     assert robot.world.spec.seed != first
@@ -134,7 +147,9 @@ def test_a_paused_lerobot_that_holds_the_hand_waits_in_the_first_frame_of_the_ne
     assert robot.world.finished.success
 
 
-def test_the_next_episode_begins_after_restart_s_and_results_go_on_where_they_stopped(tmp_path: Path):
+def test_the_next_episode_begins_after_restart_s_and_results_go_on_where_they_stopped(
+    tmp_path: Path,
+):
     clock = Clock()
     robot = robot_on(clock, restart_s=1.0, results_dir=tmp_path)
     first = robot.world.spec.seed
@@ -159,7 +174,9 @@ def keep_still(robot: DynahoiRobot, clock: Clock, frames: int) -> None:
         robot.send_action(held)
 
 
-def test_writing_the_results_of_an_episode_is_no_pause_of_lerobots(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_writing_the_results_of_an_episode_is_no_pause_of_lerobots(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     clock, write = Clock(), Results.write
 
     def write_slowly(results: Results) -> None:
@@ -205,7 +222,8 @@ def test_a_person_at_the_page_moves_the_robot():
     assert told["palm_z.pos"] > open_hand["palm_z.pos"] + 0.1, "up, where the pointer was"
     assert told["index_base.pos"] != open_hand["index_base.pos"]
     facts, image = (
-        next(m for m in seen if m.type == kind) for kind in (aiohttp.WSMsgType.TEXT, aiohttp.WSMsgType.BINARY)
+        next(m for m in seen if m.type == kind)
+        for kind in (aiohttp.WSMsgType.TEXT, aiohttp.WSMsgType.BINARY)
     )
     assert facts.json()["frame"]["window_s"] > 0
     assert image.data[:2] == b"\xff\xd8", "a JPEG"
@@ -233,7 +251,10 @@ def test_a_bad_action_is_refused_and_nothing_is_lost():
     clock = Clock()
     robot = robot_on(clock)
     good = dict.fromkeys(robot.action_features, 0.0)
-    for bad in ({**good, "palm_x.pos": float("nan")}, {name: 0.0 for name in good if name != "palm_x.pos"}):
+    for bad in (
+        {**good, "palm_x.pos": float("nan")},
+        {name: 0.0 for name in good if name != "palm_x.pos"},
+    ):
         with pytest.raises(ValueError, match=r"palm_x|finite"):
             robot.send_action(bad)
     catch(robot, clock)

@@ -66,7 +66,11 @@ def test_a_catch_ends_the_episode_with_reward_success_and_every_metric() -> None
         step = int(terminated[:, world].argmax())
         _, reward, _, truncated, info = results[step]
         assert (reward[world], truncated[world], info["is_success"][world]) == (1.0, False, True)
-        assert {name for name in METRICS.names() if not np.isnan(info[name][world])} >= {"S_loc", "S_gra", "R_time"}
+        assert {name for name in METRICS.names() if not np.isnan(info[name][world])} >= {
+            "S_loc",
+            "S_gra",
+            "R_time",
+        }
         assert info["S_loc"][world] == info["S_gra"][world] == 1.0
         assert sum(r[1][world] for r in results) == 1.0
 
@@ -80,7 +84,9 @@ def test_the_single_envs_info_is_json() -> None:
     assert all(info == json.loads(json.dumps(info, allow_nan=False)) for info in infos)
     assert infos[0] == {"is_success": False}
     assert infos[-1].keys() - {"is_success"} < set(METRICS.names())
-    assert {"S_loc", "S_gra"} & infos[-1].keys() == {"S_loc"}, "S_gra does not apply to who never localises"
+    assert {"S_loc", "S_gra"} & infos[-1].keys() == {"S_loc"}, (
+        "S_gra does not apply to who never localises"
+    )
 
 
 def test_a_hand_that_waits_is_truncated_after_window_l_steps_and_the_outcome_of_the_last() -> None:
@@ -88,14 +94,20 @@ def test_a_hand_that_waits_is_truncated_after_window_l_steps_and_the_outcome_of_
     observation, _ = env.reset(seed=[0])
     spec = env._batch.specs[0]
     hold = observation["agent_pos"]
-    *before, last = (env.step(hold)[2:4] for _ in range(spec.window_frames + spec.length_frames + 1))
+    *before, last = (
+        env.step(hold)[2:4] for _ in range(spec.window_frames + spec.length_frames + 1)
+    )
     assert not np.any(before)
     assert last[1][0], "truncated"
 
 
 def end_and_beginning(mode: str) -> tuple[dict, dict, dict]:
-    """Let a hand wait; return the last observation and metrics of its first episode, and the first of its next."""
-    env = DynahoiVectorEnv(2, kind="constant", autoreset_mode=mode, environment_state="truth", **SMALL)
+    """Let a hand wait; return the last observation and metrics of its first episode, and the first
+    of its next.
+    """
+    env = DynahoiVectorEnv(
+        2, kind="constant", autoreset_mode=mode, environment_state="truth", **SMALL
+    )
     hold = env.reset(seed=[0, 1])[0]["agent_pos"]
     ended = False
     while not ended:
@@ -112,16 +124,23 @@ def end_and_beginning(mode: str) -> tuple[dict, dict, dict]:
         last = of_world(observation, 0)
         assert not env.step(hold)[0]["pixels"]["ego"][0].any()
         after, _ = env.reset(options={"reset_mask": np.array([True, False])})
-    assert env._batch.specs[0].seed == kind_seed(env.recipe, "constant", 2), "its number plus those of worlds"
+    assert env._batch.specs[0].seed == kind_seed(env.recipe, "constant", 2), (
+        "its number plus those of worlds"
+    )
     return last, {name: info[name][0] for name in METRICS.names()}, of_world(after, 0)
 
 
 def of_world(batched: dict, i: int) -> dict:
-    return {key: of_world(value, i) if isinstance(value, dict) else value[i] for key, value in batched.items()}
+    return {
+        key: of_world(value, i) if isinstance(value, dict) else value[i]
+        for key, value in batched.items()
+    }
 
 
 def test_an_autoreset_mode_changes_when_episodes_begin_and_nothing_else() -> None:
-    assert DynahoiVectorEnv(1, **BLIND).metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP, "by default"
+    assert DynahoiVectorEnv(1, **BLIND).metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP, (
+        "by default"
+    )
     wanted, *others = (end_and_beginning(mode.value) for mode in AutoresetMode)
     for found in others:
         np.testing.assert_equal(found, wanted)
@@ -130,7 +149,9 @@ def test_an_autoreset_mode_changes_when_episodes_begin_and_nothing_else() -> Non
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_gymnasiums_vector_wrappers_understand_every_autoreset_mode(mode: AutoresetMode) -> None:
     register_envs()
-    env = gym.make_vec("dynahoi/constant-v0", num_envs=2, autoreset_mode=mode, reward="dense", image_size=0)
+    env = gym.make_vec(
+        "dynahoi/constant-v0", num_envs=2, autoreset_mode=mode, reward="dense", image_size=0
+    )
     if mode != AutoresetMode.SAME_STEP:  # which gymnasium's observation wrappers refuse
         env = vector_wrappers.FlattenObservation(env)
     env = vector_wrappers.RecordEpisodeStatistics(env)
@@ -155,7 +176,9 @@ def test_what_is_no_autoreset_mode_or_mask_is_refused() -> None:
 
 @pytest.mark.filterwarnings("ignore")
 def test_stable_baselines_accepts_a_flat_observation() -> None:
-    from stable_baselines3.common import env_checker as stable_baselines  # which takes long to import
+    from stable_baselines3.common import (
+        env_checker as stable_baselines,
+    )  # which takes long to import
 
     options = {"image_size": 0, "environment_state": "truth", "control_mode": "grasp"}
     env = gym.wrappers.FlattenObservation(made("constant", **options))
@@ -178,7 +201,9 @@ def test_the_terminal_observation_shows_the_last_frame_also_in_one_episode_mode(
 def test_seeds_number_the_episodes_of_kind_and_split() -> None:
     env = DynahoiVectorEnv(3, kind="lob", split="test_small", **BLIND)
     env.reset(seed=4)
-    expected = [Recipe(split="test").motion_names.index("lob") + 22 * (number % 5) for number in (4, 5, 6)]
+    expected = [
+        Recipe(split="test").motion_names.index("lob") + 22 * (number % 5) for number in (4, 5, 6)
+    ]
     assert [spec.seed for spec in env._batch.specs if spec is not None] == expected
     assert [kind_seed(Recipe(split="test_small"), "lob", n) for n in (4, 5, 6)] == expected
 
@@ -187,14 +212,22 @@ def test_bad_actions_are_refused_and_nothing_moves() -> None:
     env = DynahoiVectorEnv(1, **BLIND)
     env.reset(seed=[0])
     before = env._batch._batch.state.copy()
-    for action in (np.zeros((2, 18)), np.zeros((1, 17)), *(np.full((1, 18), bad) for bad in (np.nan, 1j, "0.5"))):
+    for action in (
+        np.zeros((2, 18)),
+        np.zeros((1, 17)),
+        *(np.full((1, 18), bad) for bad in (np.nan, 1j, "0.5")),
+    ):
         with pytest.raises(ValueError, match="action"):
             env.step(action)
         np.testing.assert_array_equal(env._batch._batch.state, before)
 
 
-def played(env: DynahoiVectorEnv, *, expert: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Play one episode a world; return rewards, whether it acts and distances [m] (T, N) each, and successes (N,)."""
+def played(
+    env: DynahoiVectorEnv, *, expert: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Play one episode a world; return rewards, whether it acts and distances [m] (T, N) each, and
+    successes (N,).
+    """
     observation, _ = env.reset(seed=0, options={"lerobot_new_rollout": True})
     batch, rewards, phases, distances = env._batch, [], [], []
     ended, success = np.zeros(env.num_envs, bool), np.zeros(env.num_envs, bool)
@@ -213,7 +246,9 @@ def played(env: DynahoiVectorEnv, *, expert: bool) -> tuple[np.ndarray, np.ndarr
 
 
 @pytest.mark.parametrize("expert", [True, False])
-def test_the_sum_is_how_much_closer_the_palm_came_in_units_of_a_decimetre_and_the_success(expert: bool):
+def test_the_sum_is_how_much_closer_the_palm_came_in_units_of_a_decimetre_and_the_success(
+    expert: bool,
+):
     env = DynahoiVectorEnv(2, kind="constant", reward="dense", image_size=0, threads=1)
     rewards, phases, distances, success = played(env, expert=expert)
     assert (rewards[~phases] == 0).all(), "nothing can be done in the observation window"
@@ -224,7 +259,13 @@ def test_the_sum_is_how_much_closer_the_palm_came_in_units_of_a_decimetre_and_th
     assert success.tolist() == [expert, expert]
 
 
-OPTIONS: dict[str, Any] = {"kind": "lob", "image_size": 16, "views": ("side",), "capture": "contact", "threads": 1}
+OPTIONS: dict[str, Any] = {
+    "kind": "lob",
+    "image_size": 16,
+    "views": ("side",),
+    "capture": "contact",
+    "threads": 1,
+}
 COPIES: list[Callable] = [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))]
 
 
@@ -255,7 +296,9 @@ def test_a_copy_plays_what_the_original_plays(make: Callable, copied: Callable) 
 
 
 def test_a_copy_of_lerobots_task_reports_to_a_log_of_the_same_folder(tmp_path: Path) -> None:
-    env = TaskEnv(1, on_episode=ResultsLog(tmp_path, Recipe(split="test", image_size=16)), **OPTIONS)
+    env = TaskEnv(
+        1, on_episode=ResultsLog(tmp_path, Recipe(split="test", image_size=16)), **OPTIONS
+    )
     twin = copy.deepcopy(env)
     assert (twin._on_episode._results.folder, twin.kind, twin.num_envs) == (tmp_path, "lob", 1)
 
@@ -287,7 +330,9 @@ def test_seeds_are_whole_numbers_below_two_to_the_forty_one_for_each_world() -> 
 
 
 def test_options_are_fields_of_a_recipe_and_unknown_ones_are_refused() -> None:
-    env = DynahoiVectorEnv(1, recipe=Recipe(split="val", image_size=0), control_class="late", views=["side"])
+    env = DynahoiVectorEnv(
+        1, recipe=Recipe(split="val", image_size=0), control_class="late", views=["side"]
+    )
     assert env.recipe == Recipe(split="val", image_size=0, control_class="late", views=("side",))
     with pytest.raises(ValueError, match="colour"):
         DynahoiEnv(colour="red")

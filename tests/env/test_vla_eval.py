@@ -26,7 +26,9 @@ from tests.docs.playing import check_installation
 
 
 class Server:
-    """A model server in the same process: the expert, who knows the episode, or a hand that holds still."""
+    """A model server in the same process: the expert, who knows the episode, or a hand that holds
+    still.
+    """
 
     def __init__(self, benchmark: DynahoiBenchmark, *, moves: bool) -> None:
         self.benchmark, self.moves, self.observations = benchmark, moves, []
@@ -49,30 +51,47 @@ def run(benchmark: DynahoiBenchmark, kind: str, *, moves: bool) -> Server:
     server = Server(benchmark, moves=moves)
     task = next(task for task in benchmark.get_tasks() if task["name"] == kind)
     runner = SyncEpisodeRunner()
-    asyncio.run(runner.run_episode(benchmark, {**task, "episode_idx": 1}, server, recorder=NullEpisodeRecorder()))
+    asyncio.run(
+        runner.run_episode(
+            benchmark, {**task, "episode_idx": 1}, server, recorder=NullEpisodeRecorder()
+        )
+    )
     return server
 
 
 def test_a_server_sees_what_the_convention_says_and_catches_if_it_moves_as_the_expert_does():
     benchmark = DynahoiBenchmark(image_size=32, kinds=["lob", "planar"])
-    assert benchmark.get_tasks() == [{"name": "lob", "suite": "projectile"}, {"name": "planar", "suite": "pendulum"}]
+    assert benchmark.get_tasks() == [
+        {"name": "lob", "suite": "projectile"},
+        {"name": "planar", "suite": "pendulum"},
+    ]
     caught, missed = (run(benchmark, "planar", moves=moves) for moves in (True, False))
     first = missed.observations[0]
     assert (first["images"]["ego"].shape, first["images"]["ego"].dtype) == ((32, 32, 3), np.uint8)
     assert first["states"].shape == (18,)
     assert "Catch" in first["task_description"]
     assert missed.task["name"] == "planar"
-    np.testing.assert_array_equal(benchmark.get_hold_action({"actions": np.ones(18)})["actions"], 1.0)
+    np.testing.assert_array_equal(
+        benchmark.get_hold_action({"actions": np.ones(18)})["actions"], 1.0
+    )
     results = [server.result["metrics"] for server in (caught, missed)]
-    assert [(metrics["success"], metrics["S_loc"]) for metrics in results] == [(True, 1.0), (False, 0.0)]
+    assert [(metrics["success"], metrics["S_loc"]) for metrics in results] == [
+        (True, 1.0),
+        (False, 0.0),
+    ]
     assert missed.result["steps"] > caught.result["steps"]
     assert set(results[0]) - {"success"} <= set(METRICS.names())
     benchmark.cleanup()
 
 
 def test_the_world_moves_on_while_a_server_infers():
-    """It stands still while the queue of four is read, until the chunk before is used up, and then moves twice."""
-    benchmark, frames = DynahoiBenchmark(image_size=32, inference="async", latency_ms=100.0, n_action_steps=4), []
+    """It stands still while the queue of four is read, until the chunk before is used up, and then
+    moves twice.
+    """
+    benchmark, frames = (
+        DynahoiBenchmark(image_size=32, inference="async", latency_ms=100.0, n_action_steps=4),
+        [],
+    )
     task = {"name": "constant", "episode_idx": 0}
     observation = benchmark.make_obs(benchmark.reset(task), task)
     for _ in range(12):
@@ -106,7 +125,11 @@ def test_the_harness_takes_the_config_and_every_episode_is_another_one(path: Pat
 
 
 def test_the_image_copies_and_installs_what_is_here():
-    lines = [line for line in (FOLDER / "Dockerfile").read_text().splitlines() if line and not line.startswith("#")]
+    lines = [
+        line
+        for line in (FOLDER / "Dockerfile").read_text().splitlines()
+        if line and not line.startswith("#")
+    ]
     instructions = [(keyword, rest) for keyword, _, rest in (line.partition(" ") for line in lines)]
     for keyword, rest in instructions:
         if keyword == "COPY":
@@ -114,6 +137,10 @@ def test_the_image_copies_and_installs_what_is_here():
             assert all(list(ROOT.glob(source.rstrip("/"))) for source in sources), rest
         elif keyword == "RUN":
             check_installation(shlex.split(rest))
-    said = {keyword: json.loads(rest) for keyword, rest in instructions if keyword in ("ENTRYPOINT", "CMD")}
+    said = {
+        keyword: json.loads(rest)
+        for keyword, rest in instructions
+        if keyword in ("ENTRYPOINT", "CMD")
+    }
     assert (said["ENTRYPOINT"][0], said["CMD"][0]) == ("vla-eval", "run")
     assert (FOLDER / Path(said["CMD"][-1]).name).is_file()

@@ -1,4 +1,6 @@
-"""A checkpoint that would run code is refused before it can: the marker that its code would leave never appears."""
+"""A checkpoint that would run code is refused before it can: the marker that its code would leave
+never appears.
+"""
 
 import hashlib
 import shutil
@@ -54,9 +56,22 @@ def marker(tmp_path: Path) -> Path:
     ("command", "pipeline"),
     [("evaluate --episodes 1", PREPROCESSOR), ("view --motion lob", "policy_postprocessor.json")],
 )
-def test_a_step_that_is_a_program_is_refused_by_every_command(command, pipeline, checkpoint, marker, capsys):
+def test_a_step_that_is_a_program_is_refused_by_every_command(
+    command, pipeline, checkpoint, marker, capsys
+):
     add_step(checkpoint, program(marker), pipeline)
-    assert cli.main([*command.split(), "--policy", str(checkpoint), "--out", str(checkpoint.parent / "x.gif")]) == 2
+    assert (
+        cli.main(
+            [
+                *command.split(),
+                "--policy",
+                str(checkpoint),
+                "--out",
+                str(checkpoint.parent / "x.gif"),
+            ]
+        )
+        == 2
+    )
     message = capsys.readouterr().err
     assert "'os.mkdir'" in message
     assert "--trust" in message
@@ -91,24 +106,33 @@ def test_a_third_partys_step_plays_with_trust(checkpoint: Path) -> None:
         {"class": "dynahoi_lerobot.evaluate.policy_agent.PolicyAgent", "config": {"path": "x"}},
         {"class": ["subprocess.Popen"]},
         {"registry_name": "no_such_step", "class": "lerobot.processor.DeviceProcessorStep"},
-        {"registry_name": "reward_classifier_processor", "config": {"pretrained_path": "you/classifier"}},
+        {
+            "registry_name": "reward_classifier_processor",
+            "config": {"pretrained_path": "you/classifier"},
+        },
         {"registry_name": "device_processor", "config": {"pretrained_path": "x"}},
         {"registry_name": "device_processor", "state_file": "../../secret.safetensors"},
         {"registry_name": "device_processor", "state_file": None},
         {},
     ],
 )
-def test_steps_keys_and_states_that_are_not_listed_are_refused(step: dict[str, Any], checkpoint: Path) -> None:
+def test_steps_keys_and_states_that_are_not_listed_are_refused(
+    step: dict[str, Any], checkpoint: Path
+) -> None:
     add_step(checkpoint, step)
     with pytest.raises(PolicyError, match="--trust"):
         checked_folder(str(checkpoint))
 
 
-def test_code_of_a_repository_that_a_step_names_does_not_run_and_nobody_is_asked(checkpoint, marker, monkeypatch):
+def test_code_of_a_repository_that_a_step_names_does_not_run_and_nobody_is_asked(
+    checkpoint, marker, monkeypatch
+):
     monkeypatch.setattr("builtins.input", lambda _: pytest.fail("transformers asks"))
     (other := checkpoint.parent / "other").mkdir()
     (other / "config.json").write_text('{"model_type": "bert"}')
-    (other / "tokenizer_config.json").write_text('{"auto_map": {"AutoTokenizer": ["evil.Evil", null]}}')
+    (other / "tokenizer_config.json").write_text(
+        '{"auto_map": {"AutoTokenizer": ["evil.Evil", null]}}'
+    )
     (other / "evil.py").write_text(f"import os\nos.mkdir({str(marker)!r})\nclass Evil: ...\n")
     for name, config in (
         ("tokenizer_processor", {"tokenizer_name": str(other)}),
@@ -126,11 +150,17 @@ def test_a_policy_plays_without_transformers(monkeypatch: pytest.MonkeyPatch) ->
     assert PolicyAgent(str(SHIPPED)).weights
 
 
-def test_a_policy_that_is_not_installed_or_not_there_is_named(checkpoint: Path, monkeypatch) -> None:
+def test_a_policy_that_is_not_installed_or_not_there_is_named(
+    checkpoint: Path, monkeypatch
+) -> None:
     edit_json(checkpoint / "config.json", lambda config: config.update(type="elsewhere"))
     with pytest.raises(PolicyError, match=r"'elsewhere'.*install lerobot_policy_elsewhere"):
         PolicyAgent(str(checkpoint), trust=True)
-    monkeypatch.setattr(huggingface_hub, "snapshot_download", lambda *_, **__: (_ for _ in ()).throw(ConnectionError()))
+    monkeypatch.setattr(
+        huggingface_hub,
+        "snapshot_download",
+        lambda *_, **__: (_ for _ in ()).throw(ConnectionError()),
+    )
     with pytest.raises(PolicyError, match=r"there is no policy 'you/nothing' \(ConnectionError\)"):
         PolicyAgent("you/nothing")
 
@@ -145,7 +175,9 @@ def test_a_policy_that_is_not_installed_or_not_there_is_named(checkpoint: Path, 
         ("pytorch_model.bin", b""),
     ],
 )
-def test_files_that_hold_or_ask_for_code_are_refused(name: str, content: bytes, checkpoint: Path) -> None:
+def test_files_that_hold_or_ask_for_code_are_refused(
+    name: str, content: bytes, checkpoint: Path
+) -> None:
     (checkpoint / name).parent.mkdir(exist_ok=True)
     (checkpoint / name).write_bytes(content)
     with pytest.raises(PolicyError, match="--trust"):
@@ -162,7 +194,9 @@ def test_files_that_hold_or_ask_for_code_are_refused(name: str, content: bytes, 
         ("train_config.json", '{"dataset": 3}'),
     ],
 )
-def test_damaged_files_are_one_sentence(name: str, text: str, checkpoint: Path, capsys: pytest.CaptureFixture) -> None:
+def test_damaged_files_are_one_sentence(
+    name: str, text: str, checkpoint: Path, capsys: pytest.CaptureFixture
+) -> None:
     (checkpoint / name).write_text(text)
     assert cli.main(["evaluate", "--policy", str(checkpoint), "--episodes", "1"]) == 2
     message = capsys.readouterr().err
@@ -176,7 +210,12 @@ def test_weights_that_do_not_fit_are_refused(damage: str, checkpoint: Path) -> N
     name = next(name for name, tensor in weights.items() if tensor.dim() == 2)
     misshapen = {name: weights[name][:, :-1].contiguous()}
     fewer = {key: tensor for key, tensor in weights.items() if key != name}
-    damaged = {"one fewer": fewer, "one more": weights | surplus, "others": surplus, "misshapen": weights | misshapen}
+    damaged = {
+        "one fewer": fewer,
+        "one more": weights | surplus,
+        "others": surplus,
+        "misshapen": weights | misshapen,
+    }
     save_file(damaged[damage], checkpoint / WEIGHTS)
     with pytest.raises(PolicyError, match=r"weights|size mismatch"):
         PolicyAgent(str(checkpoint))
@@ -196,7 +235,10 @@ def test_a_checkpoint_plays_under_the_rules_it_was_trained_for(checkpoint, tmp_p
     assert cli.main([*words, "--out", str(tmp_path / "own")]) == 0
     assert "--control-class late" in capsys.readouterr().out
     results = read_results(tmp_path / "own")
-    assert results.info.extra["weights"][WEIGHTS] == hashlib.sha256((checkpoint / WEIGHTS).read_bytes()).hexdigest()
+    assert (
+        results.info.extra["weights"][WEIGHTS]
+        == hashlib.sha256((checkpoint / WEIGHTS).read_bytes()).hexdigest()
+    )
     recipe = results.recipe()
     assert (recipe.capture, recipe.control_class, recipe.image_size) == ("contact", "late", 32)
     assert cli.main([*words, "--out", str(tmp_path / "told"), "--control-class", "unlimited"]) == 0
@@ -204,11 +246,16 @@ def test_a_checkpoint_plays_under_the_rules_it_was_trained_for(checkpoint, tmp_p
 
 
 @pytest.mark.parametrize("env", [None, {"type": "dynahoi", "control_class": "standard"}])
-def test_the_dataset_tells_what_a_checkpoint_was_trained_for(env, checkpoint: Path, tmp_path: Path) -> None:
+def test_the_dataset_tells_what_a_checkpoint_was_trained_for(
+    env, checkpoint: Path, tmp_path: Path
+) -> None:
     (tmp_path / "data" / "meta").mkdir(parents=True)
     recipe = {"capture": "contact", "control_class": "late", "protocol": "direct_act"}
     Manifest(0, 0, {}, provenance={"recipe": recipe}).write(tmp_path / "data")
-    edit_json(checkpoint / "train_config.json", lambda c: c.update(env=env, dataset={"root": str(tmp_path / "data")}))
+    edit_json(
+        checkpoint / "train_config.json",
+        lambda c: c.update(env=env, dataset={"root": str(tmp_path / "data")}),
+    )
     assert trained_for(checkpoint) == recipe | {"image_size": 32}
     camera = {"observation.images.ego_motion": {"type": "VISUAL", "shape": [3, 64, 64]}}
     edit_json(checkpoint / "config.json", lambda c: c.update(input_features=camera))

@@ -1,4 +1,6 @@
-"""``dynahoi evaluate`` works in folders of its own, alone, and loses nothing when it is interrupted."""
+"""``dynahoi evaluate`` works in folders of its own, alone, and loses nothing when it is
+interrupted.
+"""
 
 import errno
 from pathlib import Path
@@ -14,7 +16,9 @@ HOLD = ["evaluate", "--policy", "hold", "--episodes", "2"]
 
 
 @pytest.mark.parametrize("name", ["thesis.tex", "metrics.json", "actions.npz"])
-def test_files_of_somebody_else_stay_as_they_are(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_files_of_somebody_else_stay_as_they_are(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     (tmp_path / name).write_text("mine")
     assert main([*HOLD, "--out", str(tmp_path)]) == 2
     assert name in capsys.readouterr().err
@@ -61,8 +65,16 @@ def test_a_full_disk_is_one_sentence_and_the_run_resumes(tmp_path, monkeypatch, 
     assert not list(tmp_path.glob(".*.part"))
 
 
-def test_a_policy_that_samples_gives_the_same_rows_when_it_is_interrupted(tmp_path: Path, monkeypatch):
-    words = ["evaluate", "--policy", str(tiny_diffusion(tmp_path / "policy")), "--environment-state", "truth"]
+def test_a_policy_that_samples_gives_the_same_rows_when_it_is_interrupted(
+    tmp_path: Path, monkeypatch
+):
+    words = [
+        "evaluate",
+        "--policy",
+        str(tiny_diffusion(tmp_path / "policy")),
+        "--environment-state",
+        "truth",
+    ]
     words += ["--episodes", "5", "--batch-size", "2", "--out"]
     assert main([*words, str(tmp_path / "whole")]) == 0
     write, saves = Results.write, []

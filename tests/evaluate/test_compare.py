@@ -1,4 +1,6 @@
-"""Paired comparisons: exact McNemar by hand, the paired interval, pairing by identity, under equal conditions."""
+"""Paired comparisons: exact McNemar by hand, the paired interval, pairing by identity, under equal
+conditions.
+"""
 
 from pathlib import Path
 
@@ -6,7 +8,14 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.core.registry import UnknownNameError
-from dynahoi_lerobot.evaluate.compare import COMMANDS, CROSSABLE, compare, mcnemar, paired_values, sign_flip
+from dynahoi_lerobot.evaluate.compare import (
+    COMMANDS,
+    CROSSABLE,
+    compare,
+    mcnemar,
+    paired_values,
+    sign_flip,
+)
 from dynahoi_lerobot.evaluate.results import Results, RunInfo
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 
@@ -14,11 +23,21 @@ IDENTITY = {"split": "test", "kind": "lob", "object": "ball", "length_frames": 4
 RULES = {"protocol": "observe_before_act", "control_class": "standard"}
 
 
-def results(values: list, metric: str = "S_loc", first_seed: int = 0, folder: str = "a", **changes) -> Results:
-    """Results with one row a value; ``changes`` go into the rows, or where the condition of that name is."""
-    recipe = {"render_noise": changes.pop("render_noise", 0), "path_speed": changes.pop("path_speed", 1.0)}
+def results(
+    values: list, metric: str = "S_loc", first_seed: int = 0, folder: str = "a", **changes
+) -> Results:
+    """Results with one row a value; ``changes`` go into the rows, or where the condition of that
+    name is.
+    """
+    recipe = {
+        "render_noise": changes.pop("render_noise", 0),
+        "path_speed": changes.pop("path_speed", 1.0),
+    }
     extra = {"inference": changes.pop("inference", ""), "recipe": recipe}
-    benchmark, capture = changes.pop("benchmark", BENCHMARK.version), changes.pop("capture", "attach")
+    benchmark, capture = (
+        changes.pop("benchmark", BENCHMARK.version),
+        changes.pop("capture", "attach"),
+    )
     info = RunInfo("p", changes.pop("stream", "test"), capture, "cmd", "f", extra, benchmark)
     base = {**IDENTITY, **RULES, "window_frames": 8, **changes}
     rows = tuple({**base, "seed": first_seed + i, metric: value} for i, value in enumerate(values))
@@ -26,7 +45,13 @@ def results(values: list, metric: str = "S_loc", first_seed: int = 0, folder: st
 
 
 def test_mcnemar_by_hand_and_of_many_episodes():
-    by_hand = {(0, 0): 1.0, (3, 3): 1.0, (0, 5): 2 / 32, (1, 5): 2 * (1 + 6) / 64, (8, 2): 2 * (1 + 10 + 45) / 1024}
+    by_hand = {
+        (0, 0): 1.0,
+        (3, 3): 1.0,
+        (0, 5): 2 / 32,
+        (1, 5): 2 * (1 + 6) / 64,
+        (8, 2): 2 * (1 + 10 + 45) / 1024,
+    }
     for (only_a, only_b), p_value in by_hand.items():
         assert mcnemar(only_a, only_b) == mcnemar(only_b, only_a) == pytest.approx(p_value)
     assert mcnemar(900, 1100) == pytest.approx(8.5e-6, rel=0.1)
@@ -35,9 +60,15 @@ def test_mcnemar_by_hand_and_of_many_episodes():
 def test_means_of_few_episodes_are_never_significant_and_chance_is_seldom():
     for n in range(1, 6):
         assert sign_flip(np.linspace(0.9, 1.1, n)) == 2 / 2**n > 0.05
-    assert sign_flip(np.array([3.0, 1.0, -2.0])) == 0.75  # all but two of eight sums are as far from 0
+    assert (
+        sign_flip(np.array([3.0, 1.0, -2.0])) == 0.75
+    )  # all but two of eight sums are as far from 0
     assert sign_flip(np.full(40, 0.1)) == 1 / 2001
-    by_chance = [sign_flip(np.random.default_rng(seed).normal(size=n)) < 0.05 for n in (8, 20) for seed in range(300)]
+    by_chance = [
+        sign_flip(np.random.default_rng(seed).normal(size=n)) < 0.05
+        for n in (8, 20)
+        for seed in range(300)
+    ]
     assert 0.02 < np.mean(by_chance) < 0.08
 
 
@@ -101,7 +132,10 @@ def test_a_seed_alone_does_not_make_a_pair_and_an_unknown_metric_is_named():
 def test_other_conditions_are_refused_unless_they_are_what_is_compared(other: dict):
     a, b = results([1.0, 1.0]), results([0.0, 1.0], folder="b", **other)
     ((name, value),) = other.items()
-    with pytest.raises(ValueError, match=f"b has {'salt' if name == 'stream' else name} '{str(value).split('+')[-1]}'"):
+    with pytest.raises(
+        ValueError,
+        match=f"b has {'salt' if name == 'stream' else name} '{str(value).split('+')[-1]}'",
+    ):
         compare(a, b, "S_loc", across=[crossed for crossed in CROSSABLE if crossed != name])
     if name in CROSSABLE or name == "benchmark":
         allowed = compare(a, b, "S_loc", across=CROSSABLE, allow_version_mismatch=True)

@@ -6,7 +6,14 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageSequence
 
-from dynahoi_lerobot.evaluate.gif import BORDER_PX, BORDERS, CAPTION_PX, encode_gif, episode_gif, phases_of
+from dynahoi_lerobot.evaluate.gif import (
+    BORDER_PX,
+    BORDERS,
+    CAPTION_PX,
+    encode_gif,
+    episode_gif,
+    phases_of,
+)
 from tests.synthetic import synthetic_episode
 
 FRAMES = np.random.default_rng(0).integers(0, 255, (5, 12, 16, 3), np.uint8)
@@ -52,7 +59,12 @@ def test_what_stands_still_keeps_its_colours_and_is_stored_once():
 
 
 def test_a_small_target_keeps_its_colour():
-    frames = np.random.default_rng(2).normal([90, 120, 90], 12, (8, 64, 64, 3)).clip(0, 255).astype(np.uint8)
+    frames = (
+        np.random.default_rng(2)
+        .normal([90, 120, 90], 12, (8, 64, 64, 3))
+        .clip(0, 255)
+        .astype(np.uint8)
+    )
     frames[:, 20:24, 30:34] = target = (220, 40, 160)
     for page in pages(encode_gif(frames)):
         assert np.abs(np.array(page.getpixel((32, 22))) - target).max() < 12

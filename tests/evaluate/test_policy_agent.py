@@ -1,4 +1,6 @@
-"""A checkpoint as an agent: its config is changed on request, and it remembers the frames it is shown."""
+"""A checkpoint as an agent: its config is changed on request, and it remembers the frames it is
+shown.
+"""
 
 import copy
 from pathlib import Path
@@ -28,22 +30,55 @@ def test_settings_change_the_config_and_nothing_else() -> None:
 
 
 @pytest.mark.parametrize("mode", ["async", "rtc"])
-def test_a_measured_inference_is_of_one_world_and_may_outlast_the_chunk_before(mode, actor, tmp_path, monkeypatch):
+def test_a_measured_inference_is_of_one_world_and_may_outlast_the_chunk_before(
+    mode, actor, tmp_path, monkeypatch
+):
     plan, worlds = PolicyAgent.plan, []
 
-    def slow(agent: PolicyAgent, observation: Observation, chosen: np.ndarray, **told: Any) -> tuple:
+    def slow(
+        agent: PolicyAgent, observation: Observation, chosen: np.ndarray, **told: Any
+    ) -> tuple:
         worlds.append(len(observation.state))
-        return plan(agent, observation, chosen, **told)[0], np.full(1, 0.55)  # its chunks are of 8 frames, 0.4 s
+        return plan(agent, observation, chosen, **told)[0], np.full(
+            1, 0.55
+        )  # its chunks are of 8 frames, 0.4 s
 
     monkeypatch.setattr(PolicyAgent, "plan", slow)
-    words = ["evaluate", "--policy", str(actor), "--split", "val", "--episodes", "2", "--out", str(tmp_path)]
-    assert main([*words, "--control-class", "unlimited", "--inference", mode, "--inference-ms", "measured"]) == 0
+    words = [
+        "evaluate",
+        "--policy",
+        str(actor),
+        "--split",
+        "val",
+        "--episodes",
+        "2",
+        "--out",
+        str(tmp_path),
+    ]
+    assert (
+        main(
+            [
+                *words,
+                "--control-class",
+                "unlimited",
+                "--inference",
+                mode,
+                "--inference-ms",
+                "measured",
+            ]
+        )
+        == 0
+    )
     assert set(worlds) == {1}
     assert read_results(tmp_path).info.extra["inference_frames"] == 11.0
 
 
 def test_guidance_continues_what_is_left_of_a_chunk_or_where_it_led(specs, monkeypatch):
-    agent, observation, left = PolicyAgent(CHECKPOINT), world(specs[:1], image_size=96).observe(), []
+    agent, observation, left = (
+        PolicyAgent(CHECKPOINT),
+        world(specs[:1], image_size=96).observe(),
+        [],
+    )
     agent.reset(1)
     agent.enable_guidance()
     (chunk,), _ = agent.plan(observation, np.array([0]))
@@ -69,7 +104,9 @@ def test_diffusion_policy_plans_from_the_noted_frames(tmp_path: Path) -> None:
     diffusion = DiffusionPolicy.from_pretrained(tiny_diffusion(tmp_path / "policy"))
     shapes = {"observation.environment_state": (2, 13), "observation.state": (2, 18)}
     no_action = {"action": None}  # LeRobot's preprocessor leaves this key in every batch
-    frames = [{key: torch.rand(shape) for key, shape in shapes.items()} | no_action for _ in range(3)]
+    frames = [
+        {key: torch.rand(shape) for key, shape in shapes.items()} | no_action for _ in range(3)
+    ]
     noise = torch.randn(2, 8, 18)
     asked_always, asked_once = copy.deepcopy(diffusion), copy.deepcopy(diffusion)
     for frame in frames:

@@ -70,7 +70,10 @@ def longer_logs(folder: Path) -> None:
     """Give every hand more time than an evaluation does, and write what that leads to."""
     results = read_results(folder)
     logs = [results.log(i) for i in range(len(results.rows))]
-    longer = [replace(log, actions=np.concatenate([log.actions, log.actions[-1:].repeat(60, 0)])) for log in logs]
+    longer = [
+        replace(log, actions=np.concatenate([log.actions, log.actions[-1:].repeat(60, 0)]))
+        for log in logs
+    ]
     write_results(folder, replay(results.recipe(), longer, images=False), results.info)
 
 
@@ -93,22 +96,31 @@ FORGERIES: list[tuple[Callable[[Path], None], str]] = [
 def honest(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three episodes of a baseline that catches some."""
     folder = tmp_path_factory.mktemp("honest") / "results"
-    assert main(["evaluate", "--policy", "constant_velocity", "--episodes", "3", "--out", str(folder)]) == 0
+    assert (
+        main(["evaluate", "--policy", "constant_velocity", "--episodes", "3", "--out", str(folder)])
+        == 0
+    )
     return folder
 
 
-def test_an_honest_result_replays_and_its_digests_are_told(honest: Path, capsys: pytest.CaptureFixture[str]):
+def test_an_honest_result_replays_and_its_digests_are_told(
+    honest: Path, capsys: pytest.CaptureFixture[str]
+):
     assert main(["evaluate", "--replay", str(honest)]) == 0
     said = capsys.readouterr().out
     for name in ("metrics.json", "episodes.parquet", "actions.npz"):
         assert hashlib.sha256((honest / name).read_bytes()).hexdigest() in said
-    assert said.count("not the benchmark's") == said.count("not the benchmark's privileged: True") == 1
+    assert (
+        said.count("not the benchmark's") == said.count("not the benchmark's privileged: True") == 1
+    )
 
 
 def test_a_drawn_sample_can_be_drawn_again(honest: Path, capsys: pytest.CaptureFixture[str]):
     assert main(["evaluate", "--replay", str(honest), "--episodes", "1"]) == 0
     (seed,) = re.findall(r"--replay-seed (\d+)", first := capsys.readouterr().out)
-    assert main(["evaluate", "--replay", str(honest), "--episodes", "1", "--replay-seed", seed]) == 0
+    assert (
+        main(["evaluate", "--replay", str(honest), "--episodes", "1", "--replay-seed", seed]) == 0
+    )
     assert capsys.readouterr().out == first
     assert len(set(drawn(1000, 44, 0))) == 44
     assert drawn(1000, 44, 0) != drawn(1000, 44, 1)
@@ -135,9 +147,14 @@ def test_a_forged_result_is_found(honest, tmp_path, forge, finding, capsys):
     assert "not the same" in said
 
 
-def test_results_of_a_salt_are_replayed_by_who_knows_it(tmp_path: Path, capsys: pytest.CaptureFixture):
+def test_results_of_a_salt_are_replayed_by_who_knows_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+):
     secret, folder = "a secret of sixteen letters", str(tmp_path / "results")
-    assert main(["evaluate", "--policy", "hold", "--episodes", "2", "--salt", secret, "--out", folder]) == 0
+    assert (
+        main(["evaluate", "--policy", "hold", "--episodes", "2", "--salt", secret, "--out", folder])
+        == 0
+    )
     assert main(["evaluate", "--replay", folder, "--salt", secret]) == 0
     capsys.readouterr()
     for salt in ("", "another one of sixteen letters"):

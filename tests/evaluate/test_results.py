@@ -1,4 +1,6 @@
-"""A result folder: what is in it, that it comes back unchanged, and that an interrupted run loses nothing."""
+"""A result folder: what is in it, that it comes back unchanged, and that an interrupted run loses
+nothing.
+"""
 
 import json
 import shutil
@@ -19,14 +21,22 @@ from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from tests.evaluate.test_replay_results import set_head
 from tests.synthetic import synthetic_episode, write_results
 
-RUN = {"policy": "reach", "split": "test", "capture": "attach", "command": "dynahoi evaluate", "fingerprint": "f1"}
+RUN = {
+    "policy": "reach",
+    "split": "test",
+    "capture": "attach",
+    "command": "dynahoi evaluate",
+    "fingerprint": "f1",
+}
 INFO = RunInfo(**RUN, extra={"n_obs_frames": 5})
 
 
 def episodes(count: int = 6):
     """Yield episodes of which every third misses by 5 cm, of two kinds and different lengths."""
     for seed in range(count):
-        episode = synthetic_episode(seed, frames=40 + seed, image_size=None, miss_m=0.05 * (seed % 3 == 0))
+        episode = synthetic_episode(
+            seed, frames=40 + seed, image_size=None, miss_m=0.05 * (seed % 3 == 0)
+        )
         yield replace(episode, meta=replace(episode.meta, motion=("constant", "lob")[seed % 2]))
 
 
@@ -38,14 +48,26 @@ def folder(tmp_path: Path) -> Path:
 
 def test_the_files_are_as_documented(folder: Path):
     head = json.loads((folder / "metrics.json").read_text())
-    assert head.items() >= {**RUN, "benchmark": BENCHMARK.version, "n": 6, "extra": {"n_obs_frames": 5}}.items()
+    assert (
+        head.items()
+        >= {**RUN, "benchmark": BENCHMARK.version, "n": 6, "extra": {"n_obs_frames": 5}}.items()
+    )
     assert set(head["metrics"]) == set(METRICS.names())
     low, high = wilson(4, 6)
     expected = {"value": pytest.approx(4 / 6), "low": low, "high": high, "unit": "fraction", "n": 6}
     assert head["metrics"]["S_loc"] == expected
     assert head["metrics"]["S_gra"]["n"] == 4
-    assert head["metrics"]["S_hold"] == {"value": None, "low": None, "high": None, "unit": "fraction", "n": 0}
-    assert {kind: metrics["S_loc"]["n"] for kind, metrics in head["per_kind"].items()} == {"constant": 3, "lob": 3}
+    assert head["metrics"]["S_hold"] == {
+        "value": None,
+        "low": None,
+        "high": None,
+        "unit": "fraction",
+        "n": 0,
+    }
+    assert {kind: metrics["S_loc"]["n"] for kind, metrics in head["per_kind"].items()} == {
+        "constant": 3,
+        "lob": 3,
+    }
     found = read_results(folder)
     assert (found.info, found.head) == (INFO, head)
     table = pq.read_table(folder / "episodes.parquet")
@@ -64,7 +86,9 @@ def save(folder: Path, count: int) -> None:
 
 @pytest.mark.parametrize("renamed", [0, 1, 2, 3])
 @pytest.mark.parametrize("before", [0, 2])
-def test_an_interrupted_run_resumes_whichever_files_it_had_renamed(tmp_path: Path, before: int, renamed: int):
+def test_an_interrupted_run_resumes_whichever_files_it_had_renamed(
+    tmp_path: Path, before: int, renamed: int
+):
     part, drafts = tmp_path / "part", tmp_path / "drafts"
     part.mkdir()
     if before:
@@ -74,7 +98,9 @@ def test_an_interrupted_run_resumes_whichever_files_it_had_renamed(tmp_path: Pat
         shutil.copy(drafts / name, part / name)
     results = Results.resumed(part, INFO)
     assert results.seeds == set(range(4 if renamed >= 2 else before))
-    results.plus([episode for episode in episodes() if episode.meta.seed not in results.seeds]).write()
+    results.plus(
+        [episode for episode in episodes() if episode.meta.seed not in results.seeds]
+    ).write()
     whole = write_results(tmp_path / "whole", episodes(), INFO)
     assert read_results(part).rows == whole.rows
     assert all(map(np.array_equal, read_results(part).actions, whole.actions))
@@ -92,7 +118,7 @@ def test_a_command_line_is_kept_printable(monkeypatch: pytest.MonkeyPatch):
     assert command_line() == r"dynahoi evaluate a\x1b[2J\nb"
 
 
-# -- damage -----------------------------------------------------------------------------------------------------------
+# -- damage ----------------------------------------------------------------------------------------
 
 
 def set_column(name: str, values: list) -> Callable[[Path], None]:
@@ -129,20 +155,34 @@ DAMAGE: list[tuple[Callable[[Path], None], str]] = [
     (set_head(benchmark="v0"), f"episodes of benchmark 'v0' and '{BENCHMARK.version}'"),
     (set_column("surplus", [0] * 6), "its column surplus"),
     (set_column("S_loc", ["a"] * 6), "its column S_loc"),
-    (set_column("control_class", ["late"] * 5 + ["standard"]), "control_class 'late' and 'standard'"),
+    (
+        set_column("control_class", ["late"] * 5 + ["standard"]),
+        "control_class 'late' and 'standard'",
+    ),
     (set_action("seed", lambda old: old + 1), "its seeds are not those of"),
     (set_column("window_frames", [40] * 6), "seed 0 has 40 commands, and window_frames is 40"),
-    (set_column("first_localized", [None, 40, 40, 43, None, 40]), "seed 3 has 43 commands, and first_localized is 43"),
-    (set_column("length_frames", [2**62] * 6), "it says length_frames of an episode is 4611686018427387904"),
+    (
+        set_column("first_localized", [None, 40, 40, 43, None, 40]),
+        "seed 3 has 43 commands, and first_localized is 43",
+    ),
+    (
+        set_column("length_frames", [2**62] * 6),
+        "it says length_frames of an episode is 4611686018427387904",
+    ),
     (set_column("E_loc", [1e308] * 6), "it says E_loc of an episode is 1e+308"),
-    (set_action("action", lambda old: old * np.nan), "its actions must be of shape (N, 18), up to 1099511627776"),
+    (
+        set_action("action", lambda old: old * np.nan),
+        "its actions must be of shape (N, 18), up to 1099511627776",
+    ),
     (set_action("action", lambda old: old[:, :17]), "they are of shape (255, 17)"),
     (set_action("offsets", lambda old: old[::-1]), "its offsets"),
 ]
 
 
 @pytest.mark.parametrize(("damage", "sentence"), DAMAGE, ids=[sentence for _, sentence in DAMAGE])
-def test_damage_is_one_sentence(damage: Callable[[Path], None], sentence: str, folder: Path) -> None:
+def test_damage_is_one_sentence(
+    damage: Callable[[Path], None], sentence: str, folder: Path
+) -> None:
     damage(folder)
     with pytest.raises(ReadError) as refused:
         read_results(folder)

@@ -22,35 +22,67 @@ def label(stratum: str, **meta: object) -> str:
 
 @pytest.mark.parametrize("name", ["tier", "periodicity", "category"])
 def test_every_category_has_its_place_and_those_of_others_have_one_of_their_own(name: str):
-    assert {label(name, category=category) for category in CATEGORIES} <= {*STRATA[name].order} - {"other"}
-    assert label(name, category="somebody_elses") == ("somebody_elses" if name == "category" else "other")
+    assert {label(name, category=category) for category in CATEGORIES} <= {*STRATA[name].order} - {
+        "other"
+    }
+    assert label(name, category="somebody_elses") == (
+        "somebody_elses" if name == "category" else "other"
+    )
     example = {"tier": "physical", "periodicity": "periodic", "category": "pendulum"}
     assert label(name, category="pendulum") == example[name]
 
 
 def test_bins_of_duration_and_of_travel_from_the_palm_at_control_start_to_the_intercept():
-    frames = {19: "<20", 20: "20-40", 40: "20-40", 41: "40-60", 60: "40-60", 80: "60-80", 120: "80-120", 121: ">120"}
+    frames = {
+        19: "<20",
+        20: "20-40",
+        40: "20-40",
+        41: "40-60",
+        60: "40-60",
+        80: "60-80",
+        120: "80-120",
+        121: ">120",
+    }
     assert {n: label("duration", length_frames=n) for n in frames} == frames
     window, state = EPISODE.meta.window_frames, EPISODE.state.copy()
     start, state[:window, :3] = state[window, :3], 50.0
     far_m = {0.0: "0-0.5", 0.04: "0-0.5", 0.06: "0.5-2", 0.21: "2-4", 0.39: "2-4", 0.41: ">4"}
     for distance_m, expected in far_m.items():
         goal = start + np.array([0, distance_m, 0], np.float32)
-        assert STRATA["travel"].label(replace(EPISODE, state=state, intercept_position=goal)) == expected
-    assert STRATA["duration"].arrange({">120", "20-40", "odd", "80-120"}) == ["20-40", "80-120", ">120", "odd"]
+        assert (
+            STRATA["travel"].label(replace(EPISODE, state=state, intercept_position=goal))
+            == expected
+        )
+    assert STRATA["duration"].arrange({">120", "20-40", "odd", "80-120"}) == [
+        "20-40",
+        "80-120",
+        ">120",
+        "odd",
+    ]
 
 
 def test_wilson_matches_published_values_contains_the_rate_and_mirrors():
     """Newcombe 1998, Table I, method 3."""
-    published = [(81, 263, 0.2553, 0.3662), (15, 148, 0.0624, 0.1605), (0, 20, 0.0, 0.1611), (1, 29, 0.0061, 0.1718)]
+    published = [
+        (81, 263, 0.2553, 0.3662),
+        (15, 148, 0.0624, 0.1605),
+        (0, 20, 0.0, 0.1611),
+        (1, 29, 0.0061, 0.1718),
+    ]
     for successes, count, low, high in published:
-        assert wilson(successes, count) == (pytest.approx(low, abs=6e-5), pytest.approx(high, abs=6e-5))
+        assert wilson(successes, count) == (
+            pytest.approx(low, abs=6e-5),
+            pytest.approx(high, abs=6e-5),
+        )
     for count in (1, 7, 110, 1000):
         for successes in {0, 1, count // 2, count}:
             low, high = wilson(successes, count)
             assert 0 <= low <= successes / count <= high <= 1
             assert low < high
-            assert wilson(count - successes, count) == (pytest.approx(1 - high), pytest.approx(1 - low))
+            assert wilson(count - successes, count) == (
+                pytest.approx(1 - high),
+                pytest.approx(1 - low),
+            )
 
 
 def test_bootstrap_is_deterministic_blind_to_order_and_draws_from_all_values():
@@ -64,7 +96,9 @@ def test_bootstrap_is_deterministic_blind_to_order_and_draws_from_all_values():
 def test_bootstrap_covers_the_true_mean_about_95_times_of_100():
     rng = np.random.default_rng(2)
     samples = (rng.exponential(1.0, 60) for _ in range(200))
-    hits = sum(low <= 1.0 <= high for low, high in (bootstrap(sample, resamples=500) for sample in samples))
+    hits = sum(
+        low <= 1.0 <= high for low, high in (bootstrap(sample, resamples=500) for sample in samples)
+    )
     assert 0.88 <= hits / 200 <= 0.98
 
 
@@ -78,13 +112,19 @@ def results(policy: str = "reach", capture: str = "attach") -> Results:
 
 
 def test_numbers_are_printed_in_the_papers_units():
-    for estimate, text in (((0.279, "fraction"), "27.9"), ((0.846, "u"), "0.85"), ((None, "score"), "-")):
+    for estimate, text in (
+        ((0.279, "fraction"), "27.9"),
+        ((0.846, "u"), "0.85"),
+        ((None, "score"), "-"),
+    ):
         value, unit = estimate
         assert metric_cell(Estimate(value, value, value, unit, 9)).text == text
 
 
 def test_many_evaluations_are_lines_and_few_are_columns_under_what_they_share():
-    shared, header, rule, *lines = results_table([results("a"), *[results("a much longer name")] * 3]).split("\n")
+    shared, header, rule, *lines = results_table(
+        [results("a"), *[results("a much longer name")] * 3]
+    ).split("\n")
     assert "split test" in shared
     assert all(f" {name} " in header for name in MAIN_COLUMNS)
     assert [line.split()[0] for line in lines] == ["a"] * 4

@@ -32,7 +32,9 @@ PLAN = GenerationPlan(FakeRecipe(), 5, shard_episodes=2)
 def record(recipe: FakeRecipe, seeds: Sequence[int]) -> Iterator[Episode]:
     for seed in seeds:
         first_draw = seed < REDRAW_STRIDE
-        if not (recipe.hopeless or (recipe.miss_every and first_draw and seed % recipe.miss_every == 0)):
+        if not (
+            recipe.hopeless or (recipe.miss_every and first_draw and seed % recipe.miss_every == 0)
+        ):
             yield varied_episode(seed, recipe.image_size, recipe.views)
 
 

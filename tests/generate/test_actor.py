@@ -1,4 +1,6 @@
-"""`dynahoi generate --actor`: a policy moves the hand, the expert labels every frame; the dataset is as any other."""
+"""`dynahoi generate --actor`: a policy moves the hand, the expert labels every frame; the dataset
+is as any other.
+"""
 
 import shutil
 from pathlib import Path
@@ -14,7 +16,13 @@ from dynahoi_lerobot.dataset import frame_column, read_episodes
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.merge import merge
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError
-from dynahoi_lerobot.generate.actor import RecordedPolicy, actor_name, make_actor, open_policy, runtime
+from dynahoi_lerobot.generate.actor import (
+    RecordedPolicy,
+    actor_name,
+    make_actor,
+    open_policy,
+    runtime,
+)
 from dynahoi_lerobot.verify.command import verify
 from tests.dataset.episodes import changed, rewrite
 from tests.tools import edit_json
@@ -23,8 +31,20 @@ SEEDS = 4
 
 
 def words(actor: Path | None, root: Path, *more: object) -> list[str]:
-    """Return the command for four episodes in two shards, of two kinds whose path is prescribed or thrown."""
-    what = ["generate", "--root", root, "--episodes", SEEDS, "--shard-episodes", 2, "--motions", "constant,lob"]
+    """Return the command for four episodes in two shards, of two kinds whose path is prescribed or
+    thrown.
+    """
+    what = [
+        "generate",
+        "--root",
+        root,
+        "--episodes",
+        SEEDS,
+        "--shard-episodes",
+        2,
+        "--motions",
+        "constant,lob",
+    ]
     what += ["--control-class", "late"]
     what += [] if actor is None else ["--actor", actor]
     return [str(word) for word in (*what, *more)]
@@ -44,7 +64,9 @@ def episodes(generated: Path) -> list[Episode]:
     return list(read_episodes(generated))
 
 
-def test_the_policys_commands_move_the_hand_and_the_labels_do_not(episodes: list[Episode], actor: Path):
+def test_the_policys_commands_move_the_hand_and_the_labels_do_not(
+    episodes: list[Episode], actor: Path
+):
     assert {episode.meta.agent for episode in episodes} == {actor_name(str(actor))}
     assert not all(episode.success for episode in episodes), "failures are kept"
     for episode in episodes:
@@ -60,9 +82,13 @@ def test_it_is_verified_and_made_again_without_the_policy(generated: Path):
 
 
 @pytest.mark.parametrize("name", ["action", "given_action", "executed_action"])
-def test_a_replay_finds_labels_and_commands_that_were_not(generated: Path, tmp_path: Path, name: str):
+def test_a_replay_finds_labels_and_commands_that_were_not(
+    generated: Path, tmp_path: Path, name: str
+):
     root = shutil.copytree(generated, tmp_path / "d")
-    first, second, *others = read_episodes(root)  # the second is thrown, so nothing prescribes its path
+    first, second, *others = read_episodes(
+        root
+    )  # the second is thrown, so nothing prescribes its path
     rewrite(root, [first, changed(name, 20, lambda value: value + 0.02)(second), *others])
     assert f"another {name}" in "\n".join(str(finding) for finding in verify(root, replayed=SEEDS))
 
@@ -105,7 +131,9 @@ def test_its_random_numbers_and_threads_are_its_own(actor: Path):
     assert len(set(drawn[:2])) == 2
 
 
-def test_rounds_merge_and_the_card_tells_what_they_are(generated: Path, actor: Path, tmp_path: Path):
+def test_rounds_merge_and_the_card_tells_what_they_are(
+    generated: Path, actor: Path, tmp_path: Path
+):
     assert main(words(None, tmp_path / "first", "--image-size", 32, "--seed", 100)) == 0
     merge([tmp_path / "first", generated], tmp_path / "both")
     assert verify(tmp_path / "both") == []
@@ -116,7 +144,9 @@ def test_rounds_merge_and_the_card_tells_what_they_are(generated: Path, actor: P
     assert "moves the hand, and" not in (tmp_path / "first" / "README.md").read_text()
 
 
-def test_a_checkpoint_that_could_run_code_is_refused(actor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_checkpoint_that_could_run_code_is_refused(
+    actor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     hostile = shutil.copytree(actor, tmp_path / "other")
     edit_json(hostile / "config.json", lambda content: content.update(auto_map={"x": "y"}))
     assert main(words(hostile, tmp_path / "d")) == 2
@@ -125,15 +155,23 @@ def test_a_checkpoint_that_could_run_code_is_refused(actor: Path, tmp_path: Path
     assert "give --trust only if" in error
 
 
-def test_a_recipe_that_names_another_actor_is_refused(actor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_recipe_that_names_another_actor_is_refused(
+    actor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     recipe = tmp_path / "recipe.yaml"
     recipe.write_text("actor: obact@0123456789abcdef\n")
-    for given, told in ((None, "give its checkpoint with --actor"), (actor, f"is {actor_name(str(actor))}")):
+    for given, told in (
+        (None, "give its checkpoint with --actor"),
+        (actor, f"is {actor_name(str(actor))}"),
+    ):
         assert main(words(given, tmp_path / "d", "--recipe", recipe)) == 2
         assert told in capsys.readouterr().err
     recipe.write_text(f"actor: {actor_name(str(actor))}\nexpert: hold\n")
     assert main(words(actor, tmp_path / "d", "--recipe", recipe)) == 2
-    assert "need an expert that labels any state (intercept, match, pursuit), got 'hold'" in capsys.readouterr().err
+    assert (
+        "need an expert that labels any state (intercept, match, pursuit), got 'hold'"
+        in capsys.readouterr().err
+    )
     recipe.write_text("actor: me\n")
     assert main(words(None, tmp_path / "d", "--recipe", recipe)) == 2
     assert "TYPE@HASH, got 'me'" in capsys.readouterr().err

@@ -14,22 +14,33 @@ from tests.generate.recorder import FakeRecipe
 def run(*words, record=recorder.record) -> int:
     parser = argparse.ArgumentParser()
     add_options(parser, command.Options)
-    options = read_options(command.Options, vars(parser.parse_args(["--episodes", "4", *map(str, words)])))
-    return exit_code("dynahoi generate", lambda: command.run(options, record=record, recipe=FakeRecipe()))
+    options = read_options(
+        command.Options, vars(parser.parse_args(["--episodes", "4", *map(str, words)]))
+    )
+    return exit_code(
+        "dynahoi generate", lambda: command.run(options, record=record, recipe=FakeRecipe())
+    )
 
 
 def test_generates_and_summarises(tmp_path, capsys):
     root, summary = tmp_path / "d", tmp_path / "summary.json"
-    assert run("--root", root, "--episodes", 3, "--seed", 7, "--image-size", 16, "--json", summary) == 0
+    assert (
+        run("--root", root, "--episodes", 3, "--seed", 7, "--image-size", 16, "--json", summary)
+        == 0
+    )
     told = json.loads(capsys.readouterr().out)
     assert told == json.loads(summary.read_text())
     assert (told["episodes"], told["yield"]) == (3, 1.0)
     assert Manifest.read(root).seeds == [7, 8, 9]
-    assert told["megabytes"] == pytest.approx(sum(f.stat().st_size for f in root.rglob("*.*")) / 1e6, abs=0.1)
+    assert told["megabytes"] == pytest.approx(
+        sum(f.stat().st_size for f in root.rglob("*.*")) / 1e6, abs=0.1
+    )
 
 
 @pytest.mark.parametrize(("seconds", "files"), [(1e9, 1), (3, 2)])
-def test_a_view_has_one_video_file_unless_that_would_be_too_long(tmp_path, seconds: float, files: int):
+def test_a_view_has_one_video_file_unless_that_would_be_too_long(
+    tmp_path, seconds: float, files: int
+):
     assert run("--root", tmp_path / "d", "--image-size", 16, "--video-seconds", seconds) == 0
     assert len(list((tmp_path / "d").rglob("*.mp4"))) == files
     with pytest.raises(SystemExit):

@@ -1,4 +1,6 @@
-"""Shards as tasks of datatrove: the same bytes as one process makes, on this machine, on Ray, and handed to Slurm."""
+"""Shards as tasks of datatrove: the same bytes as one process makes, on this machine, on Ray, and
+handed to Slurm.
+"""
 
 import dataclasses
 import os
@@ -57,9 +59,14 @@ def test_ray_tasks_give_the_same_bytes_below_uv_run(undisturbed, tmp_path):
     path = os.pathsep.join([str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")])
     with (tmp_path / "errors.txt").open("w") as errors:
         process = subprocess.Popen(
-            command, executable=sys.executable, cwd=tmp_path, env=os.environ | {"PYTHONPATH": path}, stdout=errors,
-            stderr=errors, start_new_session=True,
-        )  # fmt: skip
+            command,
+            executable=sys.executable,
+            cwd=tmp_path,
+            env=os.environ | {"PYTHONPATH": path},
+            stdout=errors,
+            stderr=errors,
+            start_new_session=True,
+        )
         try:
             code = process.wait(300)
         finally:
@@ -70,15 +77,41 @@ def test_ray_tasks_give_the_same_bytes_below_uv_run(undisturbed, tmp_path):
 
 
 def test_slurm_scripts_can_be_seen(tmp_path, capsys):
-    words = ("--root", tmp_path / "d", "--executor", "slurm", "--dry-run", "--partition", "hopper", "--tasks", 3)
-    more = ("--episodes", 7, "--shard-episodes", 2, "--cpus-per-task", 8, "--gpus-per-task", 1, "--time", "01:00:00")
+    words = (
+        "--root",
+        tmp_path / "d",
+        "--executor",
+        "slurm",
+        "--dry-run",
+        "--partition",
+        "hopper",
+        "--tasks",
+        3,
+    )
+    more = (
+        "--episodes",
+        7,
+        "--shard-episodes",
+        2,
+        "--cpus-per-task",
+        8,
+        "--gpus-per-task",
+        1,
+        "--time",
+        "01:00:00",
+    )
     assert run(*words, *more) == 0
     shards, merge = capsys.readouterr().out.split("# submitted with --dependency=afterok")
     for line in (
-        "#SBATCH --partition=hopper", "#SBATCH --array=0-2", "#SBATCH --cpus-per-task=8", "#SBATCH --gpus=1",
-        "#SBATCH --time=01:00:00", "#SBATCH --job-name=dynahoi-shards-d", f"source {sys.prefix}/bin/activate",
+        "#SBATCH --partition=hopper",
+        "#SBATCH --array=0-2",
+        "#SBATCH --cpus-per-task=8",
+        "#SBATCH --gpus=1",
+        "#SBATCH --time=01:00:00",
+        "#SBATCH --job-name=dynahoi-shards-d",
+        f"source {sys.prefix}/bin/activate",
         f"launch_pickled_pipeline {tmp_path}/d.partial/logs/shards/executor.pik",
-    ):  # fmt: skip
+    ):
         assert line in shards
     assert "#SBATCH --array=0-0" in merge
     assert "dynahoi-merge-d" in merge
@@ -96,7 +129,10 @@ def test_slurm_submits_two_jobs(tmp_path, monkeypatch):
 
     monkeypatch.setattr(slurm, "launch_slurm_job", sbatch)
     monkeypatch.setattr("shutil.which", lambda name: f"/usr/bin/{name}")
-    assert run("--root", tmp_path / "d", "--executor", "slurm", "--episodes", 7, "--shard-episodes", 2) == 0
+    assert (
+        run("--root", tmp_path / "d", "--executor", "slurm", "--episodes", 7, "--shard-episodes", 2)
+        == 0
+    )
     jobs = [(contents, args) for contents, args in calls if "merge_stats" not in contents]
     assert ["dynahoi-shards" in jobs[0][0], "dynahoi-merge" in jobs[1][0]] == [True, True]
     assert "--dependency=afterok:101" in jobs[1][1]

@@ -1,4 +1,6 @@
-"""Generation may end at any instant and in any way: what exists is whole, and the next run completes it."""
+"""Generation may end at any instant and in any way: what exists is whole, and the next run
+completes it.
+"""
 
 import os
 import random
@@ -49,7 +51,9 @@ def test_killed_at_random_instants(undisturbed, tmp_path):
             assert [path.name for path in tmp_path.iterdir()] == ["d"]
             shutil.rmtree(root)
         else:
-            assert all(path.stat().st_ino == inode for path, inode in whole.items()), "finished shards are kept"
+            assert all(path.stat().st_ino == inode for path, inode in whole.items()), (
+                "finished shards are kept"
+            )
     generate(PLAN, root, record=record)
     assert hash_files(root) == undisturbed
     assert [path.name for path in tmp_path.iterdir()] == ["d"]
@@ -60,18 +64,23 @@ import sys
 from tests.generate.test_command import run
 from tests.generate.recorder import record_slowly
 if __name__ == "__main__":
-    sys.exit(run("--episodes", 5, "--shard-episodes", 2, "--workers", 2, *sys.argv[1:], record=record_slowly))
+    shards = ["--episodes", 5, "--shard-episodes", 2, "--workers", 2]
+    sys.exit(run(*shards, *sys.argv[1:], record=record_slowly))
 """
 
 
 def test_two_workers_killed_with_their_parent(undisturbed, tmp_path):
     (tmp_path / "script.py").write_text(SCRIPT)
     command = [sys.executable, str(tmp_path / "script.py"), "--root", str(tmp_path / "d")]
-    environment = os.environ | {"PYTHONPATH": f"{REPOSITORY}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
+    environment = os.environ | {
+        "PYTHONPATH": f"{REPOSITORY}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"
+    }
     parent = subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.DEVNULL)
     workspace = tmp_path / "d.partial"
     wait_until(lambda: bool(list(workspace.glob("*shard-*"))))
-    children = [int(n) for n in Path(f"/proc/{parent.pid}/task/{parent.pid}/children").read_text().split()]
+    children = [
+        int(n) for n in Path(f"/proc/{parent.pid}/task/{parent.pid}/children").read_text().split()
+    ]
     assert len(children) >= 2
     time.sleep(random.Random(3).uniform(0, 0.05))
     parent.kill()
@@ -108,7 +117,9 @@ def test_two_processes_on_one_folder(undisturbed, tmp_path, capsys):
 
 @pytest.mark.parametrize("largest_bytes", [3_000, 20_000, 40_000])
 def test_file_system_that_stops_writing(undisturbed, tmp_path, capsys, largest_bytes):
-    """No file may grow beyond a limit: the mp4, the parquet and the JSON files fail in turn, FFmpeg's included."""
+    """No file may grow beyond a limit: the mp4, the parquet and the JSON files fail in turn,
+    FFmpeg's included.
+    """
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (largest_bytes, limits[1]))

@@ -1,4 +1,6 @@
-"""A dataset is a function of its plan, whoever makes it, in whatever pieces and whatever goes wrong meanwhile."""
+"""A dataset is a function of its plan, whoever makes it, in whatever pieces and whatever goes wrong
+meanwhile.
+"""
 
 import dataclasses
 import json
@@ -47,12 +49,16 @@ def test_slots_follow_the_seed(reference):
     assert plan(episodes=10, seed=5).slots(3) == range(14, 15)
 
 
-def test_any_shard_size_gives_the_same_tables_and_videos_and_progress_counts_episodes(reference, tmp_path):
+def test_any_shard_size_gives_the_same_tables_and_videos_and_progress_counts_episodes(
+    reference, tmp_path
+):
     seen: list[int] = []
     generate(plan(shard_episodes=4), tmp_path / "d", record=recorder.record, progress=seen.append)
     assert seen == [*range(1, 11), 10]
     one, other = hash_files(reference), hash_files(tmp_path / "d")
-    assert {name for name in one if one[name] != other[name]} == {"README.md"}, "which shows the plan"
+    assert {name for name in one if one[name] != other[name]} == {"README.md"}, (
+        "which shows the plan"
+    )
 
 
 def test_missed_slots_are_drawn_again(tmp_path):
@@ -70,9 +76,13 @@ def test_corrupt_recordings_are_rejected_and_drawn_again(tmp_path):
 
 
 def test_an_impossible_recipe_ends_with_a_sentence(tmp_path):
-    with pytest.raises(CommandError, match=f"failed {MAX_DRAWS} times on each of 3 slots, the first of seed 0"):
+    with pytest.raises(
+        CommandError, match=f"failed {MAX_DRAWS} times on each of 3 slots, the first of seed 0"
+    ):
         generate(plan(hopeless=True), tmp_path / "d", record=recorder.record)
-    assert not any(tmp_path.iterdir()), "what made nothing leaves no folder that blocks another plan"
+    assert not any(tmp_path.iterdir()), (
+        "what made nothing leaves no folder that blocks another plan"
+    )
 
 
 @pytest.mark.slow
@@ -94,7 +104,9 @@ def test_workers_that_keep_dying_end_with_a_sentence(tmp_path, monkeypatch):
 def test_other_datasets_are_left_alone(reference, tmp_path):
     before = hash_files(reference)
     generate(plan(), reference, record=recorder.record_and_die)  # done already
-    with pytest.raises(FileExistsError, match=r"another dataset .other name, episodes, shard_episodes"):
+    with pytest.raises(
+        FileExistsError, match=r"another dataset .other name, episodes, shard_episodes"
+    ):
         generate(plan(shard_episodes=2, episodes=3, name="x"), reference, record=recorder.record)
     assert hash_files(reference) == before
     (tmp_path / "precious").mkdir()

@@ -1,4 +1,6 @@
-"""Datasets of the simulator: physical ones, with further views, with failures; each verifies and replays."""
+"""Datasets of the simulator: physical ones, with further views, with failures; each verifies and
+replays.
+"""
 
 import numpy as np
 import pandas as pd
@@ -17,7 +19,16 @@ from tests.tools import generated
 
 
 def test_a_physical_dataset_holds_forces(tmp_path):
-    words = ("--episodes", "3", "--image-size", "32", "--motions", "constant,planar,struck", "--capture", "contact")
+    words = (
+        "--episodes",
+        "3",
+        "--image-size",
+        "32",
+        "--motions",
+        "constant,planar,struck",
+        "--capture",
+        "contact",
+    )
     root = generated(tmp_path / "contact", *words)
     assert verify(root, replayed=1) == []
     dataset = LeRobotDataset("local/contact", root=root)
@@ -27,7 +38,11 @@ def test_a_physical_dataset_holds_forces(tmp_path):
     assert (touch.max(axis=0) > 0.5).all(), "every finger has held something [N]"
     assert dataset.meta.stats[FEATURES["touch"].key]["max"].max() == pytest.approx(touch.max())
     rows = dataset.meta.episodes
-    assert (set(rows["capture"]), set(rows["agent"]), set(rows["stage"])) == ({"contact"}, {"match"}, {"held"})
+    assert (set(rows["capture"]), set(rows["agent"]), set(rows["stage"])) == (
+        {"contact"},
+        {"match"},
+        {"held"},
+    )
 
 
 VIEWS = ("side", "ego_depth", "ego_segmentation")
@@ -35,7 +50,9 @@ VIEWS = ("side", "ego_depth", "ego_segmentation")
 
 def test_further_views_are_stored_read_and_replayed(tmp_path):
     recipe = Recipe(motions=("constant", "struck"), image_size=48, views=VIEWS)
-    generate(GenerationPlan(recipe, 2, shard_episodes=1), tmp_path / "d", record=record)  # two shards, merged
+    generate(
+        GenerationPlan(recipe, 2, shard_episodes=1), tmp_path / "d", record=record
+    )  # two shards, merged
     assert verify(tmp_path / "d", replayed=2) == []
     for episode in read_episodes(tmp_path / "d"):
         assert list(episode.images) == ["ego", *VIEWS]
@@ -48,7 +65,9 @@ def test_further_views_are_stored_read_and_replayed(tmp_path):
 def test_failures_are_kept_in_their_place_and_marked(tmp_path):
     """A pursuer is too slow for some of them."""
     motions = ("constant", "lob", "depth", "planar")
-    recipe = Recipe(expert="pursuit", motions=motions, image_size=16, keep_failures=True, perturbed_share=0.0)
+    recipe = Recipe(
+        expert="pursuit", motions=motions, image_size=16, keep_failures=True, perturbed_share=0.0
+    )
     manifest = generate(GenerationPlan(recipe, 8, shard_episodes=5), tmp_path / "d", record=record)
     assert manifest.seeds == list(range(8)), "nothing is drawn again"
     failed = int((~pd.read_parquet(tmp_path / "d/meta/episodes")["success"]).sum())
@@ -62,9 +81,13 @@ def test_failures_are_kept_in_their_place_and_marked(tmp_path):
 
 
 def test_all_attempts_at_a_failed_episode_are_told(tmp_path):
-    recipe = Recipe(image_size=0, motions=("bounce", "lob"), perturbed_share=1.0, keep_failures=True)
+    recipe = Recipe(
+        image_size=0, motions=("bounce", "lob"), perturbed_share=1.0, keep_failures=True
+    )
     generate(GenerationPlan(recipe, 8), tmp_path / "d", record=record)
-    attempts = pd.read_parquet(tmp_path / "d/meta/episodes")["stats/attempt_success"].map(list).tolist()
+    attempts = (
+        pd.read_parquet(tmp_path / "d/meta/episodes")["stats/attempt_success"].map(list).tolist()
+    )
     assert max(map(len, attempts)) > 1, "the expert begins again"
     assert all(not any(tries[:-1]) for tries in attempts)
     assert verify(tmp_path / "d", replayed=2) == []

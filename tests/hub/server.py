@@ -41,7 +41,9 @@ class Repo:
 class Hub:
     """What the server holds, and how it fails."""
 
-    repos: dict[str, Repo] = field(default_factory=dict)  # by ``datasets/user/name`` or ``models/user/name``
+    repos: dict[str, Repo] = field(
+        default_factory=dict
+    )  # by ``datasets/user/name`` or ``models/user/name``
     blobs: dict[str, bytes] = field(default_factory=dict)  # the large file storage, by sha256
     uploads_left: int | None = None  # how many more large files are taken; None for no end
     requests: list[str] = field(default_factory=list)  # every request line
@@ -123,7 +125,11 @@ def _oid(name: str, content: bytes) -> str:
 
 
 def _lfs(name: str, content: bytes) -> dict[str, Any] | None:
-    return {"sha256": _oid(name, content), "size": len(content), "pointerSize": 134} if _is_large(name) else None
+    return (
+        {"sha256": _oid(name, content), "size": len(content), "pointerSize": 134}
+        if _is_large(name)
+        else None
+    )
 
 
 def _is_large(name: str) -> bool:
@@ -147,18 +153,37 @@ def create(handler: _Handler, body: bytes) -> Answer:
     return _json({"url": url, "name": f"{owner}/{asked['name']}"})
 
 
-def info(handler: _Handler, body: bytes, kind: str, name: str, revision: str | None = None) -> Answer:
+def info(
+    handler: _Handler, body: bytes, kind: str, name: str, revision: str | None = None
+) -> Answer:
     repo = handler.repo(kind, name)
     sha = handler.sha(repo, revision or "main")
-    siblings = [{"rfilename": path, "lfs": _lfs(path, content)} for path, content in repo.commits[sha].items()]
-    return _json({"id": name, "sha": sha, "private": repo.private, "tags": [], "downloads": 0, "siblings": siblings})
+    siblings = [
+        {"rfilename": path, "lfs": _lfs(path, content)}
+        for path, content in repo.commits[sha].items()
+    ]
+    return _json(
+        {
+            "id": name,
+            "sha": sha,
+            "private": repo.private,
+            "tags": [],
+            "downloads": 0,
+            "siblings": siblings,
+        }
+    )
 
 
 def preupload(handler: _Handler, body: bytes, kind: str, name: str, revision: str) -> Answer:
     held = handler.repo(kind, name).files
     names = [file["path"] for file in json.loads(body)["files"]]
-    modes = [{"path": path, "uploadMode": "lfs" if _is_large(path) else "regular"} for path in names]
-    oids = [{"shouldIgnore": False, "oid": _oid(path, held[path]) if path in held else None} for path in names]
+    modes = [
+        {"path": path, "uploadMode": "lfs" if _is_large(path) else "regular"} for path in names
+    ]
+    oids = [
+        {"shouldIgnore": False, "oid": _oid(path, held[path]) if path in held else None}
+        for path in names
+    ]
     return _json({"files": [mode | oid for mode, oid in zip(modes, oids, strict=True)]})
 
 
@@ -193,14 +218,21 @@ def commit(handler: _Handler, body: bytes, kind: str, name: str, revision: str) 
             files[value["path"]] = handler.hub.blobs[value["oid"]]
         elif operation["key"] == "deletedFile":
             del files[value["path"]]
-    sha = hashlib.sha1(f"{repo.head}{sorted((n, _oid(n, c)) for n, c in files.items())}".encode()).hexdigest()
+    sha = hashlib.sha1(
+        f"{repo.head}{sorted((n, _oid(n, c)) for n, c in files.items())}".encode()
+    ).hexdigest()
     repo.commits[sha] = files
-    return _json({"success": True, "commitOid": sha, "commitUrl": f"{handler.hub.url}/{name}/commit/{sha}"})
+    return _json(
+        {"success": True, "commitOid": sha, "commitUrl": f"{handler.hub.url}/{name}/commit/{sha}"}
+    )
 
 
 def refs(handler: _Handler, body: bytes, kind: str, name: str) -> Answer:
     repo = handler.repo(kind, name)
-    tags = [{"name": tag, "ref": f"refs/tags/{tag}", "targetCommit": sha} for tag, sha in repo.tags.items()]
+    tags = [
+        {"name": tag, "ref": f"refs/tags/{tag}", "targetCommit": sha}
+        for tag, sha in repo.tags.items()
+    ]
     main = {"name": "main", "ref": "refs/heads/main", "targetCommit": repo.head}
     return _json({"branches": [main], "tags": tags, "converts": []})
 
@@ -224,7 +256,9 @@ def tree(handler: _Handler, body: bytes, kind: str, name: str, revision: str) ->
     repo = handler.repo(kind, name)
     assert "recursive=true" in handler.path.lower()
     files = repo.commits[handler.sha(repo, revision)]
-    return _json([{"type": "file", "path": p, "size": len(c), "oid": _oid(p, c)} for p, c in files.items()])
+    return _json(
+        [{"type": "file", "path": p, "size": len(c), "oid": _oid(p, c)} for p, c in files.items()]
+    )
 
 
 def resolve(handler: _Handler, body: bytes, **parts: str) -> Answer:
@@ -234,7 +268,11 @@ def resolve(handler: _Handler, body: bytes, **parts: str) -> Answer:
     if path not in (files := repo.commits[sha]):
         raise RefusalError(404, "EntryNotFound", "Entry not found")
     content = files[path]
-    return content, {"ETag": f'"{_oid(path, content)}"', "X-Repo-Commit": sha, "Accept-Ranges": "none"}
+    return content, {
+        "ETag": f'"{_oid(path, content)}"',
+        "X-Repo-Commit": sha,
+        "Accept-Ranges": "none",
+    }
 
 
 def valid(handler: _Handler, body: bytes) -> Answer:

@@ -1,4 +1,6 @@
-"""``dynahoi push``: sound content only, resumed after an interruption, never over something else."""
+"""``dynahoi push``: sound content only, resumed after an interruption, never over something
+else.
+"""
 
 import hashlib
 import json
@@ -32,15 +34,21 @@ def hub() -> Iterator[Hub]:
 
 
 @pytest.fixture
-def push(hub: Hub, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Push:
+def push(
+    hub: Hub, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> Push:
     template = constants.HUGGINGFACE_CO_URL_TEMPLATE.replace(constants.ENDPOINT, hub.url)
     monkeypatch.setattr(constants, "HUGGINGFACE_CO_URL_TEMPLATE", template)
     monkeypatch.setattr(constants, "ENDPOINT", hub.url)
     monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path / "hub_cache"))
     monkeypatch.setattr(constants, "HF_TOKEN_PATH", str(tmp_path / "no_token"))
-    monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)  # the server has only the large file storage
+    monkeypatch.setattr(
+        constants, "HF_HUB_DISABLE_XET", True
+    )  # the server has only the large file storage
     monkeypatch.setenv("HF_TOKEN", TOKEN)
-    monkeypatch.setattr("dynahoi_lerobot.hub.load_policy", lambda *_, **__: None)  # most checkpoints here are stubs
+    monkeypatch.setattr(
+        "dynahoi_lerobot.hub.load_policy", lambda *_, **__: None
+    )  # most checkpoints here are stubs
 
     def run(*words: object) -> tuple[int, str, str]:
         code = main(["push", *map(str, words)])
@@ -66,14 +74,22 @@ def checkpoint(tmp_path: Path) -> Path:
 
 
 def write_split(
-    folder: Path, split: str, seeds: Iterable[int], *, policy: str = "me/policy", command: str = "dynahoi evaluate",
-    extra: dict | None = None, **recipe: object,
-) -> Path:  # fmt: skip
+    folder: Path,
+    split: str,
+    seeds: Iterable[int],
+    *,
+    policy: str = "me/policy",
+    command: str = "dynahoi evaluate",
+    extra: dict | None = None,
+    **recipe: object,
+) -> Path:
     """Write the results of episodes that all are the same but for their seeds."""
     episode = synthetic_episode(0, image_size=None)
     played = Recipe(split=split, **recipe).stored()
     info = RunInfo(policy, split, "attach", command, "f", {"recipe": played} | (extra or {}))
-    write_results(folder, [replace(episode, meta=replace(episode.meta, seed=seed)) for seed in seeds], info)
+    write_results(
+        folder, [replace(episode, meta=replace(episode.meta, seed=seed)) for seed in seeds], info
+    )
     return folder
 
 
@@ -81,7 +97,9 @@ ROOT = Path(__file__).parents[2]
 DATASET, MODEL = "datasets/me/catching", "models/me/policy"
 
 
-def refused(answer: tuple[int, str, str], sentence: str, wanted: int = 1, *, in_one_line: bool = True) -> None:
+def refused(
+    answer: tuple[int, str, str], sentence: str, wanted: int = 1, *, in_one_line: bool = True
+) -> None:
     """The command ended with an exit code and said why."""
     code, _, err = answer
     assert code == wanted, err
@@ -89,17 +107,21 @@ def refused(answer: tuple[int, str, str], sentence: str, wanted: int = 1, *, in_
     assert err.count("\n") == 1 or not in_one_line, err
 
 
-# -- datasets ---------------------------------------------------------------------------------------------------------
+# -- datasets --------------------------------------------------------------------------------------
 
 
-def test_every_file_arrives_both_tags_are_set_and_pushing_again_changes_nothing(simulated: Path, hub: Hub, push: Push):
+def test_every_file_arrives_both_tags_are_set_and_pushing_again_changes_nothing(
+    simulated: Path, hub: Hub, push: Push
+):
     code, out, err = push(simulated, "me/catching", "--private")
     assert code == 0, err
     assert f"{hub.url}/{DATASET}" in out
     repo = hub.repos[DATASET]
     assert repo.private
     assert {name: len(content) for name, content in repo.files.items()} == {
-        path.relative_to(simulated).as_posix(): path.stat().st_size for path in simulated.rglob("*") if path.is_file()
+        path.relative_to(simulated).as_posix(): path.stat().st_size
+        for path in simulated.rglob("*")
+        if path.is_file()
     }
     assert repo.tags == {"v3.0": repo.head, f"dynahoi-{BENCHMARK.version}": repo.head}
     commits = list(repo.commits)
@@ -122,7 +144,9 @@ def test_an_interrupted_upload_goes_on(simulated: Path, hub: Hub, push: Push):
     assert not sent & before
 
 
-def test_datasets_that_are_damaged_or_would_overwrite_something_else_are_refused(simulated, tmp_path, hub, push):
+def test_datasets_that_are_damaged_or_would_overwrite_something_else_are_refused(
+    simulated, tmp_path, hub, push
+):
     broken = shutil.copytree(simulated, tmp_path / "broken")
     (broken / "meta/tasks.parquet").unlink()
     refused(push(broken, "me/catching"), "tasks.parquet is missing", in_one_line=False)
@@ -130,13 +154,16 @@ def test_datasets_that_are_damaged_or_would_overwrite_something_else_are_refused
     push(simulated, "me/catching")
     repo = hub.repos[DATASET]
     refused(push(simulated, "me/catching", "--private"), "is public")
-    for sha, held in (("a", repo.files | {"meta/manifest.json": b"{}"}), ("b", {"thesis.pdf": b"years of work"})):
+    for sha, held in (
+        ("a", repo.files | {"meta/manifest.json": b"{}"}),
+        ("b", {"thesis.pdf": b"years of work"}),
+    ):
         repo.commits[sha * 40] = held
         refused(push(simulated, "me/catching"), "me/catching holds")
         assert repo.files == held
 
 
-# -- what any push needs ----------------------------------------------------------------------------------------------
+# -- what any push needs ---------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -158,7 +185,9 @@ def test_no_network(checkpoint: Path, push: Push, monkeypatch: pytest.MonkeyPatc
     refused(push(checkpoint, "me/policy"), "http://127.0.0.1:9")
 
 
-def test_names_folders_and_options_that_do_not_fit(checkpoint: Path, tmp_path: Path, hub: Hub, push: Push):
+def test_names_folders_and_options_that_do_not_fit(
+    checkpoint: Path, tmp_path: Path, hub: Hub, push: Push
+):
     for name in ("catching", "a/b/c", "me/a b", ""):
         refused(push(checkpoint, name), repr(name), 2)
     assert hub.requests == []
@@ -170,14 +199,19 @@ def test_names_folders_and_options_that_do_not_fit(checkpoint: Path, tmp_path: P
     assert hub.repos == {}
 
 
-# -- checkpoints ------------------------------------------------------------------------------------------------------
+# -- checkpoints -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("config", "mode"),
-    [({"type": "obact"}, "joints"), ({"type": "act", "output_features": {"action": {"shape": [4]}}}, "grasp")],
+    [
+        ({"type": "obact"}, "joints"),
+        ({"type": "act", "output_features": {"action": {"shape": [4]}}}, "grasp"),
+    ],
 )
-def test_a_checkpoint_without_a_card_gets_one_and_a_card_that_is_there_stays(config, mode, *, checkpoint, hub, push):
+def test_a_checkpoint_without_a_card_gets_one_and_a_card_that_is_there_stays(
+    config, mode, *, checkpoint, hub, push
+):
     (checkpoint / "config.json").write_text(json.dumps(config))
     before = sorted(path.name for path in checkpoint.iterdir())
     assert push(checkpoint, "me/policy")[0] == 0
@@ -198,14 +232,19 @@ def test_a_checkpoint_without_a_card_gets_one_and_a_card_that_is_there_stays(con
     assert hub.repos[MODEL].files["README.md"] == b"mine"
 
 
-def test_other_weights_replace_the_old_ones_and_their_results_only_if_that_is_asked(checkpoint, tmp_path, hub, push):
+def test_other_weights_replace_the_old_ones_and_their_results_only_if_that_is_asked(
+    checkpoint, tmp_path, hub, push
+):
     push(checkpoint, "me/policy")
     push(write_split(tmp_path / "results", "test_small", range(110)), "me/policy")
     commits = list(hub.repos[MODEL].commits)
     assert push(checkpoint, "me/policy", "--replace")[0] == 0
     assert list(hub.repos[MODEL].commits) == commits, "the same weights keep their results"
     (checkpoint / "model.safetensors").write_bytes(b"better weights")
-    refused(push(checkpoint, "me/policy"), "me/policy holds other weights (model.safetensors); choose another name")
+    refused(
+        push(checkpoint, "me/policy"),
+        "me/policy holds other weights (model.safetensors); choose another name",
+    )
     assert list(hub.repos[MODEL].commits) == commits
     assert push(checkpoint, "me/policy", "--replace")[0] == 0
     files = hub.repos[MODEL].files
@@ -213,13 +252,20 @@ def test_other_weights_replace_the_old_ones_and_their_results_only_if_that_is_as
     assert not [name for name in files if "results" in name]
 
 
-def test_what_our_loader_refuses_is_not_uploaded(checkpoint, actor, *, hub, push, monkeypatch, tmp_path):
+def test_what_our_loader_refuses_is_not_uploaded(
+    checkpoint, actor, *, hub, push, monkeypatch, tmp_path
+):
     monkeypatch.setattr("dynahoi_lerobot.hub.load_policy", load_policy)
     refused(push(checkpoint, "me/policy"), "model.safetensors cannot be read", 2)
     broken = shutil.copytree(actor, tmp_path / "broken")
-    (broken / "policy_preprocessor.json").write_text('{"steps": [{"class": "os.mkdir", "config": {"path": "x"}}]}')
+    (broken / "policy_preprocessor.json").write_text(
+        '{"steps": [{"class": "os.mkdir", "config": {"path": "x"}}]}'
+    )
     refused(push(broken, "me/policy"), "'os.mkdir'", 2)
-    (linked := shutil.copytree(actor, tmp_path / "linked"), (linked / "notes").symlink_to("/etc/passwd"))
+    (
+        linked := shutil.copytree(actor, tmp_path / "linked"),
+        (linked / "notes").symlink_to("/etc/passwd"),
+    )
     refused(push(linked, "me/policy"), "notes is a link", 2)
     with (shutil.copytree(actor, tmp_path / "vast") / "README.md").open("w") as card:
         card.truncate(3 * 2**30)
@@ -230,14 +276,19 @@ def test_what_our_loader_refuses_is_not_uploaded(checkpoint, actor, *, hub, push
     assert push(actor, "me/policy")[0] == 0
 
 
-def test_results_that_their_commands_do_not_lead_to_are_not_uploaded(checkpoint, hub, push, monkeypatch, tmp_path):
+def test_results_that_their_commands_do_not_lead_to_are_not_uploaded(
+    checkpoint, hub, push, monkeypatch, tmp_path
+):
     push(checkpoint, "me/policy")
     monkeypatch.setattr(Recipe, "fingerprint", lambda _: "f")
-    refused(push(write_split(tmp_path / "results", "ood_speed", range(2)), "me/policy"), "was not pushed")
+    refused(
+        push(write_split(tmp_path / "results", "ood_speed", range(2)), "me/policy"),
+        "was not pushed",
+    )
     assert names(hub) == set()
 
 
-# -- results ----------------------------------------------------------------------------------------------------------
+# -- results ---------------------------------------------------------------------------------------
 
 
 def names(hub: Hub) -> set[str]:
@@ -245,7 +296,9 @@ def names(hub: Hub) -> set[str]:
     return {name.split("/")[1] for name in hub.repos[MODEL].files if name.startswith("results/")}
 
 
-def test_results_need_their_checkpoint_and_must_be_whole(checkpoint: Path, tmp_path: Path, hub: Hub, push: Push):
+def test_results_need_their_checkpoint_and_must_be_whole(
+    checkpoint: Path, tmp_path: Path, hub: Hub, push: Push
+):
     results = write_split(tmp_path / "results", "test_small", range(110))
     refused(push(results, "me/policy"), "me/policy holds no checkpoint")
     assert hub.repos == {}
@@ -266,19 +319,31 @@ CONDITIONS: list[tuple[dict, str]] = [
 ]
 
 
-def test_results_under_other_rules_or_of_fewer_episodes_have_other_names(checkpoint, tmp_path, hub, push):
+def test_results_under_other_rules_or_of_fewer_episodes_have_other_names(
+    checkpoint, tmp_path, hub, push
+):
     push(checkpoint, "me/policy")
     for number, (options, _) in enumerate(CONDITIONS):
-        seeds, rest = options.get("seeds", range(110)), {k: v for k, v in options.items() if k != "seeds"}
-        code, _, err = push(write_split(tmp_path / str(number), "test_small", seeds, **rest), "me/policy")
+        seeds, rest = (
+            options.get("seeds", range(110)),
+            {k: v for k, v in options.items() if k != "seeds"},
+        )
+        code, _, err = push(
+            write_split(tmp_path / str(number), "test_small", seeds, **rest), "me/policy"
+        )
         assert code == 0, err
     assert names(hub) == {name for _, name in CONDITIONS}
-    push(write_split(tmp_path / "long", "test_small", range(2), extra={"settings": ["x" * 300]}), "me/policy")
+    push(
+        write_split(tmp_path / "long", "test_small", range(2), extra={"settings": ["x" * 300]}),
+        "me/policy",
+    )
     assert max(map(len, names(hub))) == 120
 
 
 @pytest.mark.parametrize("policy", ["you/other", "intercept", "outputs/gone/pretrained_model"])
-def test_results_of_another_policy_are_refused_unless_said_to_be_of_this_one(policy, checkpoint, tmp_path, hub, push):
+def test_results_of_another_policy_are_refused_unless_said_to_be_of_this_one(
+    policy, checkpoint, tmp_path, hub, push
+):
     push(checkpoint, "me/policy")
     results = write_split(tmp_path / "results", "ood_speed", range(2), policy=policy)
     for said in ([], ["--policy", "you/third"]):
@@ -287,12 +352,18 @@ def test_results_of_another_policy_are_refused_unless_said_to_be_of_this_one(pol
     assert push(results, "me/policy", "--policy", policy)[0] == 0
 
 
-def test_results_go_to_the_repository_with_the_weights_that_they_name(checkpoint, tmp_path, hub, push):
+def test_results_go_to_the_repository_with_the_weights_that_they_name(
+    checkpoint, tmp_path, hub, push
+):
     push(checkpoint, "me/policy")
     digest = hashlib.sha256((checkpoint / "model.safetensors").read_bytes()).hexdigest()
-    for number, (policy, weights, code) in enumerate(((str(checkpoint), digest, 0), ("me/policy", "0a" * 32, 1))):
+    for number, (policy, weights, code) in enumerate(
+        ((str(checkpoint), digest, 0), ("me/policy", "0a" * 32, 1))
+    ):
         named = {"weights": {"model.safetensors": weights}}
-        results = write_split(tmp_path / str(number), "ood_speed", range(2), policy=policy, extra=named)
+        results = write_split(
+            tmp_path / str(number), "ood_speed", range(2), policy=policy, extra=named
+        )
         assert push(results, "me/policy")[0] == code
 
 
@@ -312,22 +383,34 @@ def test_the_card_lists_the_results_once(checkpoint: Path, tmp_path: Path, hub: 
 
 
 @pytest.mark.slow
-def test_a_checkpoint_is_evaluated_by_its_name_and_its_results_stand_beside_it(hub: Hub, push: Push, tmp_path: Path):
+def test_a_checkpoint_is_evaluated_by_its_name_and_its_results_stand_beside_it(
+    hub: Hub, push: Push, tmp_path: Path
+):
     results = tmp_path / "results"
     assert push(ROOT / "checkpoints/obact_standard", "me/policy")[0] == 0
-    assert main(["evaluate", "--policy", "me/policy", "--episodes", "2", "--out", str(results)]) == 0
+    assert (
+        main(["evaluate", "--policy", "me/policy", "--episodes", "2", "--out", str(results)]) == 0
+    )
     assert push(results, "me/policy")[0] == 0
     files, head = hub.repos[MODEL].files, json.loads((results / METRICS_FILE).read_text())
     assert "model.safetensors" in files
     name = f"{BENCHMARK.version}_test_small_attach_standard_image_size_96_2_episodes"
     assert json.loads(files[f"results/{name}/{METRICS_FILE}"]) == head
-    assert push(ROOT / "checkpoints/obact_standard", "me/policy")[0] == 0, "results beside it are no obstacle"
+    assert push(ROOT / "checkpoints/obact_standard", "me/policy")[0] == 0, (
+        "results beside it are no obstacle"
+    )
 
 
 @pytest.mark.usefixtures("push")
-def test_a_repository_is_checked_before_its_weights_are_fetched_of_the_same_commit(actor: Path, hub: Hub):
-    harmless = {path.name: path.read_bytes() for path in actor.iterdir()} | {"optimizer.pt": b"never fetched"}
-    program = {"policy_preprocessor.json": b'{"steps": [{"class": "os.mkdir", "config": {"path": "x"}}]}'}
+def test_a_repository_is_checked_before_its_weights_are_fetched_of_the_same_commit(
+    actor: Path, hub: Hub
+):
+    harmless = {path.name: path.read_bytes() for path in actor.iterdir()} | {
+        "optimizer.pt": b"never fetched"
+    }
+    program = {
+        "policy_preprocessor.json": b'{"steps": [{"class": "os.mkdir", "config": {"path": "x"}}]}'
+    }
     repo = hub.repos[MODEL] = Repo(private=False, commits={"a" * 40: harmless | program})
 
     class Requests(list[str]):
@@ -339,7 +422,10 @@ def test_a_repository_is_checked_before_its_weights_are_fetched_of_the_same_comm
                 repo.commits["c" * 40] = harmless | program
 
         def fetched(self) -> set[tuple[str, str]]:
-            return {(commit, name) for *_, commit, name in (x.split("/") for x in self if "/resolve/" in x)}
+            return {
+                (commit, name)
+                for *_, commit, name in (x.split("/") for x in self if "/resolve/" in x)
+            }
 
     hub.requests = requests = Requests()
     with pytest.raises(PolicyError, match=r"os\.mkdir"):

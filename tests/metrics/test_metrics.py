@@ -33,8 +33,8 @@ def hand_made(
 ) -> Episode:
     """Return an episode that rests for 8 frames and then passes through the ``palm`` positions [m].
 
-    ``joints`` gives one angle [rad] per control frame, taken by all 15 joints (reference 1, open 0);
-    ``localized_from`` counts from control start.
+    ``joints`` gives one angle [rad] per control frame, taken by all 15 joints (reference 1, open
+    0); ``localized_from`` counts from control start.
     """
     points = _after_the_window(palm)
     frames = len(points)
@@ -74,9 +74,14 @@ def _after_the_window(points: Sequence[Sequence[float]]) -> np.ndarray:
     [(0.0, "attach", 1), (0.029, "attach", 1), (0.031, "attach", 0)]
     + [(0.099, "attach_lenient", 1), (0.101, "attach_lenient", 0)],
 )
-def test_planar_localisation_ignores_height_and_has_the_radius_of_its_track(offset_m, capture, expected):
+def test_planar_localisation_ignores_height_and_has_the_radius_of_its_track(
+    offset_m, capture, expected
+):
     episode = hand_made(STILL, target=[(offset_m, 0.0, 4.0)] * 5)
-    assert METRICS["S_loc_planar"](replace(episode, meta=replace(episode.meta, capture=capture))) == expected
+    assert (
+        METRICS["S_loc_planar"](replace(episode, meta=replace(episode.meta, capture=capture)))
+        == expected
+    )
 
 
 def test_planar_localisation_in_the_window_does_not_count():
@@ -86,7 +91,9 @@ def test_planar_localisation_in_the_window_does_not_count():
 
 
 def test_errors_are_least_control_distances_in_units_of_a_decimetre():
-    distance = np.array([0.001] * WINDOW + [0.5, 0.25, 0.06, 0.3, 0.2], np.float32)  # the window's 1 mm must not count
+    distance = np.array(
+        [0.001] * WINDOW + [0.5, 0.25, 0.06, 0.3, 0.2], np.float32
+    )  # the window's 1 mm must not count
     episode = replace(hand_made(LINE), palm_distance=distance, fingertip_distance=distance)
     assert METRICS["E_loc"](episode) == pytest.approx(0.6)
     assert METRICS["E_gra"](episode) == pytest.approx(0.6)
@@ -138,7 +145,9 @@ def test_per_frame_grasp_counts_fingers_with_three_joints_in_place():
     for frame, fingers in enumerate(closed_fingers):
         episode.state[WINDOW + frame, 3 : 3 + 3 * fingers] = 1.0
     episode.state[WINDOW + 4, 3 + 6 : 3 + 8] = 1.0  # two of three joints are not a finger
-    shares = {name: METRICS[name](episode) for name in ("grasp_loose", "grasp_medium", "grasp_strict")}
+    shares = {
+        name: METRICS[name](episode) for name in ("grasp_loose", "grasp_medium", "grasp_strict")
+    }
     assert shares == {"grasp_loose": 3 / 5, "grasp_medium": 2 / 5, "grasp_strict": 1 / 5}
 
 
@@ -151,7 +160,9 @@ def test_per_frame_grasp_counts_fingers_with_three_joints_in_place():
         (None, 40, 0.0, 0.0),
     ],
 )
-def test_localisation_is_any_localised_frame_and_the_sooner_the_better(localized_from, length_frames, score, total):
+def test_localisation_is_any_localised_frame_and_the_sooner_the_better(
+    localized_from, length_frames, score, total
+):
     episode = hand_made(LINE, localized_from=localized_from, length_frames=length_frames)
     assert METRICS["S_loc"](episode) == (localized_from is not None)
     assert METRICS["R_time"](episode) == pytest.approx(score)
@@ -166,8 +177,12 @@ def test_holding_is_the_verdict_of_the_contact_rule(success: bool):
     assert METRICS["S_hold"](episode) is None
 
 
-@pytest.mark.parametrize(("localized_from", "expected"), [(5, 1.0), (7, 1.0), (8, 0.0), (None, 0.0)])
-def test_the_first_opportunity_ends_a_tenth_of_a_second_after_the_intercept(localized_from, expected: float):
+@pytest.mark.parametrize(
+    ("localized_from", "expected"), [(5, 1.0), (7, 1.0), (8, 0.0), (None, 0.0)]
+)
+def test_the_first_opportunity_ends_a_tenth_of_a_second_after_the_intercept(
+    localized_from, expected: float
+):
     episode = hand_made([(0.1 * i, 0.0, 1.0) for i in range(12)], localized_from=localized_from)
     episode = replace(episode, meta=replace(episode.meta, intercept_frame=WINDOW + 5))
     assert METRICS["S_intercept"](episode) == expected
@@ -189,20 +204,30 @@ def test_relative_speed_is_that_of_the_step_in_which_they_meet():
 
 def random_path(seed: int, points: int = 7) -> np.ndarray:
     # as exact as the episode, in double precision
-    return np.random.default_rng(seed).uniform(-0.3, 0.3, (points, 3)).astype(np.float32).astype(float)
+    return (
+        np.random.default_rng(seed).uniform(-0.3, 0.3, (points, 3)).astype(np.float32).astype(float)
+    )
 
 
 @pytest.mark.parametrize(
-    ("seed", "localized_from"), [*((seed, None) for seed in range(5)), *((3, first) for first in (1, 2, 5))]
+    ("seed", "localized_from"),
+    [*((seed, None) for seed in range(5)), *((3, first) for first in (1, 2, 5))],
 )
-def test_quality_is_the_papers_formula_over_the_control_phase_to_the_first_localised_frame(seed, localized_from):
+def test_quality_is_the_papers_formula_over_the_control_phase_to_the_first_localised_frame(
+    seed, localized_from
+):
     path = random_path(seed)
-    episode, trajectory = hand_made(path, localized_from=localized_from), path[: (localized_from or len(path)) + 1]
+    episode, trajectory = (
+        hand_made(path, localized_from=localized_from),
+        path[: (localized_from or len(path)) + 1],
+    )
     assert METRICS["Q_smooth"](episode) == pytest.approx(smoothness(trajectory), abs=1e-9)
     assert METRICS["Q_line"](episode) == pytest.approx(linearity(trajectory), abs=1e-9)
 
 
-@pytest.mark.parametrize("path", [*([(0.2, 0.1, 1.0)] * points for points in (1, 2, 9)), [(1.0, 0, 0), FLICKER] * 2])
+@pytest.mark.parametrize(
+    "path", [*([(0.2, 0.1, 1.0)] * points for points in (1, 2, 9)), [(1.0, 0, 0), FLICKER] * 2]
+)
 def test_no_motion_and_flicker_of_the_last_bit_are_smooth_and_without_direction(path: list):
     episode = hand_made(path)
     for suffix in ("", "_18d"):
@@ -214,20 +239,26 @@ def test_no_motion_and_flicker_of_the_last_bit_are_smooth_and_without_direction(
 def test_a_palm_that_only_recoils_from_the_fingers_stands_still(reach_m: float, still: bool):
     path = [(0, 0, 1.0), (0, reach_m, 1.0), (0, 0, 1.0), (0, 0, 1.0), (0, reach_m / 2, 1.0)]
     episode = hand_made(path)
-    assert METRICS["Q_smooth"](episode) == pytest.approx(1.0 if still else smoothness(np.array(path)), abs=1e-3)
+    assert METRICS["Q_smooth"](episode) == pytest.approx(
+        1.0 if still else smoothness(np.array(path)), abs=1e-3
+    )
     assert METRICS["Q_line"](episode) == pytest.approx(0.0 if still else 1 / 4, abs=1e-3)
 
 
 def test_a_pause_adds_nothing_to_linearity_but_counts_as_a_step():
     episode = hand_made([(0, 0, 0), (0.25, 0, 0), (0.25, 0, 0), (0.5, 0, 0)])
     assert METRICS["Q_line"](episode) == pytest.approx(2 / 3)
-    assert METRICS["Q_smooth"](episode) == pytest.approx(1 / (1 + math.sqrt(1 / 2)))  # lengths 1, 0, 1
+    assert METRICS["Q_smooth"](episode) == pytest.approx(
+        1 / (1 + math.sqrt(1 / 2))
+    )  # lengths 1, 0, 1
 
 
 def test_legacy_quality_reads_18d_commands_in_units_and_radians():
     episode = hand_made([(0.0, 0, 0)] * 5)
     commands = [[0.0] * 18 for _ in range(5)]
-    for frame, (x_m, angle) in enumerate([(0.0, 0.0), (0.1, 0.0), (0.1, 0.5), (0.100001, 0.5), (0.3, 1.0)]):
+    for frame, (x_m, angle) in enumerate(
+        [(0.0, 0.0), (0.1, 0.0), (0.1, 0.5), (0.100001, 0.5), (0.3, 1.0)]
+    ):
         commands[frame][0], commands[frame][3] = x_m, angle
     episode.given_action[WINDOW:] = commands
     # steps: 1 u; 0.5 rad; 1e-5 u, which is dropped; 2 u and 0.5 rad
@@ -246,7 +277,12 @@ def wild_episode(seed: int):
     frames = int(rng.integers(1, 30))
     start = None if rng.random() < 0.3 else int(rng.integers(frames))
     palm = rng.normal(0, 1, (frames, 3)) * rng.choice([0.0, 1e-7, 0.1, 10.0])
-    episode = hand_made(palm.tolist(), joints=rng.normal(1, 1, frames).tolist(), localized_from=start, stage="missed")
+    episode = hand_made(
+        palm.tolist(),
+        joints=rng.normal(1, 1, frames).tolist(),
+        localized_from=start,
+        stage="missed",
+    )
     capture = str(rng.choice(["attach", "attach_lenient", "contact"]))
     return replace(episode, meta=replace(episode.meta, capture=capture))
 
@@ -256,7 +292,9 @@ def wild_episode(seed: int):
 def test_values_are_in_range_and_order_or_none_where_conditional_and_change_nothing(seed: int):
     episode = wild_episode(seed)
     arrays = {field.name: getattr(episode, field.name) for field in fields(episode)}
-    before = {name: array.tobytes() for name, array in arrays.items() if isinstance(array, np.ndarray)}
+    before = {
+        name: array.tobytes() for name, array in arrays.items() if isinstance(array, np.ndarray)
+    }
     for name in before:
         arrays[name].setflags(write=False)
     value = measure(episode)
@@ -286,6 +324,8 @@ def test_a_metric_does_not_depend_on_where_the_world_has_its_origin_or_heading(n
     state, action, pose = episode.state.copy(), episode.action.copy(), episode.target_pose.copy()
     for array in (state, action, pose):
         array[:, :3] = array[:, :3] @ turn.T + np.float32([0.25, -0.5, 0.5])
-    velocity = np.hstack([episode.target_velocity[:, :3] @ turn.T, episode.target_velocity[:, 3:] @ turn.T])
+    velocity = np.hstack(
+        [episode.target_velocity[:, :3] @ turn.T, episode.target_velocity[:, 3:] @ turn.T]
+    )
     moved = replace(episode, state=state, action=action, target_pose=pose, target_velocity=velocity)
     assert METRICS[name](moved) == pytest.approx(METRICS[name](episode), abs=1e-4)

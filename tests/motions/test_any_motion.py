@@ -19,7 +19,8 @@ PRESCRIBED = [name for name, kind in MOTIONS.items() if issubclass(kind, Prescri
 SEEDS = range(5)
 MAX_ACCELERATION_M_S2 = 30.0
 MIN_PATH_M = 0.015
-"""Path from the start to the intercept: what the slowest accelerating line covers in its shortest episode."""
+"""Path from the start to the intercept: what the slowest accelerating line covers in its shortest
+episode."""
 
 
 def sampled(kind: str) -> list[EpisodeSpec]:
@@ -65,7 +66,9 @@ def test_the_velocity_of_a_prescribed_path_never_jumps(kind: str):
         assert np.abs(np.diff(path, n=2, axis=0)).max() / PHYSICS_DT**2 < MAX_ACCELERATION_M_S2
 
 
-@pytest.mark.parametrize("kind", ["constant", "line_then_arc", "horizontal_circle", "vertical_circle", "helix"])
+@pytest.mark.parametrize(
+    "kind", ["constant", "line_then_arc", "horizontal_circle", "vertical_circle", "helix"]
+)
 def test_lines_and_circles_have_constant_speed(kind: str):
     for seed in SEEDS:
         drawn = draw_motion(kind, seed)
@@ -81,10 +84,14 @@ def test_every_sampled_path_is_finite_inside_the_arena_and_moving(kind: str):
         assert len(spec.target_path_w) == spec.window_frames + spec.length_frames + 1
         _assert_in_arena(spec.target_path_w)
         if isinstance(spec.motion, PrescribedMotion):  # between frames, too
-            _assert_in_arena(spec.motion.position(np.arange(0.0, spec.horizon_frames * CONTROL_DT, PHYSICS_DT)))
+            _assert_in_arena(
+                spec.motion.position(np.arange(0.0, spec.horizon_frames * CONTROL_DT, PHYSICS_DT))
+            )
         until_met = spec.target_path_w[: spec.intercept_frame + 1]
         path_m = np.linalg.norm(np.diff(until_met, axis=0), axis=1).sum()
-        assert path_m > MIN_PATH_M, f"{spec.motion.name} of seed {spec.seed} covers only {path_m:.4f} m"
+        assert path_m > MIN_PATH_M, (
+            f"{spec.motion.name} of seed {spec.seed} covers only {path_m:.4f} m"
+        )
 
 
 def _assert_in_arena(path: np.ndarray) -> None:

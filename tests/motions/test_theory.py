@@ -1,6 +1,7 @@
 """Physical motions against the theory of each: free flight, rolling, pendulums, impacts.
 
-An event takes one physics step h, in which gravity adds g h to a speed or leaves it out; tolerances follow from that.
+An event takes one physics step h, in which gravity adds g h to a speed or leaves it out; tolerances
+follow from that.
 """
 
 from dataclasses import replace
@@ -18,9 +19,13 @@ from dynahoi_lerobot.objects import OBJECTS, TargetObject
 from tests.simulation import Drawn, Track, draw_motion, simulate
 
 THROWS, ROLLING = (
-    [name for name, kind in MOTIONS.items() if issubclass(kind, base)] for base in (ThrowMotion, RollingMotion)
+    [name for name, kind in MOTIONS.items() if issubclass(kind, base)]
+    for base in (ThrowMotion, RollingMotion)
 )
-ROUND, SLIDING = ([n for n, kind in OBJECTS.items() if MOTIONS[motion].suits(kind)] for motion in ("ramp", "struck"))
+ROUND, SLIDING = (
+    [n for n, kind in OBJECTS.items() if MOTIONS[motion].suits(kind)]
+    for motion in ("ramp", "struck")
+)
 FALL_M_S = GRAVITY_M_S2 * PHYSICS_DT
 """What a step of free fall adds to the speed."""
 SEEDS = range(5)
@@ -48,7 +53,8 @@ def test_bounces_return_the_stated_share_of_the_speed():
         before = int(np.flatnonzero(clear < 0)[0]) - 1
         after = before + 1 + int(np.flatnonzero(clear[before + 1 :] > 0)[0])
         level = [
-            np.hypot(track.velocity[k, 2] - FALL_M_S / 2, np.sqrt(2 * GRAVITY_M_S2 * clear[k])) for k in (before, after)
+            np.hypot(track.velocity[k, 2] - FALL_M_S / 2, np.sqrt(2 * GRAVITY_M_S2 * clear[k]))
+            for k in (before, after)
         ]
         errors.append(level[1] / level[0] - drawn.motion.restitution)
         assert abs(errors[-1]) < FALL_M_S / level[0]
@@ -57,7 +63,9 @@ def test_bounces_return_the_stated_share_of_the_speed():
 
 @pytest.mark.parametrize("kind", ROLLING)
 def test_rolls_without_slipping_and_accelerates_as_its_moment_of_inertia_says(kind: str):
-    """A step in which the contact is open is free fall: g h along the normal, 1.5 g h sin q along the slope."""
+    """A step in which the contact is open is free fall: g h along the normal, 1.5 g h sin q along
+    the slope.
+    """
     errors = []
     for drawn in (draw_motion(kind, seed, name) for name in ROUND for seed in SEEDS):
         motion, target = drawn.motion, drawn.target
@@ -77,14 +85,22 @@ def test_rolls_without_slipping_and_accelerates_as_its_moment_of_inertia_says(ki
 
 
 def test_runs_out_with_the_energy_of_the_ramp():
-    """Speed on the level is sqrt(2 a s) less the kink at the foot, which takes 1 - cos q of the linear part."""
+    """Speed on the level is sqrt(2 a s) less the kink at the foot, which takes 1 - cos q of the
+    linear part.
+    """
     errors = []
     for drawn in (draw_motion("ramp_and_runout", seed, name) for name in ROUND for seed in SEEDS):
         motion, target = drawn.motion, drawn.target
         radius, acceleration = target.roll_radius_m, rolling_acceleration(motion.slope_rad, target)
         ratio = target.inertia[2] / (target.mass_kg * radius**2)
-        run_m = motion.run_m - radius * np.tan(motion.slope_rad / 2)  # it touches the level before its contact does
-        track = simulate(drawn.motion, drawn.target, motion.release_s + np.sqrt(2 * motion.run_m / acceleration) + 0.15)
+        run_m = motion.run_m - radius * np.tan(
+            motion.slope_rad / 2
+        )  # it touches the level before its contact does
+        track = simulate(
+            drawn.motion,
+            drawn.target,
+            motion.release_s + np.sqrt(2 * motion.run_m / acceleration) + 0.15,
+        )
         level_s = track.time[-1] - motion.release_s - np.sqrt(2 * run_m / acceleration)
         kept = (ratio + np.cos(motion.slope_rad)) / (1 + ratio)
         resisted = GRAVITY_M_S2 * ROLLING_FRICTION_M / radius / (1 + ratio) * level_s
@@ -111,7 +127,9 @@ def swings(drawn: Drawn, track: Track) -> np.ndarray:
 def small_period_s(motion: SuspendedMotion, target: TargetObject) -> float:
     """The period of small swings, 2 pi sqrt((I + m l^2) / (m g l))."""
     about_anchor = max(target.inertia[:2]) + target.mass_kg * motion.length_m**2
-    return float(2 * np.pi * np.sqrt(about_anchor / (target.mass_kg * GRAVITY_M_S2 * motion.length_m)))
+    return float(
+        2 * np.pi * np.sqrt(about_anchor / (target.mass_kg * GRAVITY_M_S2 * motion.length_m))
+    )
 
 
 @pytest.mark.parametrize("angle_rad", [0.02, np.pi / 6, np.pi / 2])
@@ -125,7 +143,9 @@ def test_swings_have_the_period_of_the_elliptic_integral(angle_rad: float):
     track = simulate(drawn.motion, drawn.target, 2.6 * expected)
     swing = swings(drawn, track)
     falling = np.flatnonzero((swing[:-1] > 0) & (swing[1:] <= 0))
-    times = track.time[falling] + PHYSICS_DT * swing[falling] / (swing[falling] - swing[falling + 1])
+    times = track.time[falling] + PHYSICS_DT * swing[falling] / (
+        swing[falling] - swing[falling + 1]
+    )
     assert np.diff(times).mean() == pytest.approx(expected, rel=3e-4)
 
 
@@ -141,7 +161,9 @@ def test_a_conical_pendulum_circles_at_constant_height_and_rate():
 
 
 def test_drag_shrinks_the_swing_exponentially():
-    """The envelope is exp(-s drag t / 2); s is the share of m l^2 in the inertia, as drag acts on the centre alone."""
+    """The envelope is exp(-s drag t / 2); s is the share of m l^2 in the inertia, as drag acts on
+    the centre alone.
+    """
     drawn = draw_motion("damped", 1)
     motion, target = replace(drawn.motion, angle_rad=0.2), drawn.target
     track = simulate(motion, target, 5 * small_period_s(motion, target))
@@ -155,7 +177,9 @@ def test_drag_shrinks_the_swing_exponentially():
 
 
 def test_a_central_blow_at_the_stated_time_keeps_momentum_and_returns_the_stated_share():
-    """Contacts are 0.1 % short of rigid; the table slows by mu g h, and lifts what begins to slide at v by mu v."""
+    """Contacts are 0.1 % short of rigid; the table slows by mu g h, and lifts what begins to slide
+    at v by mu v.
+    """
     errors = []
     for drawn in (draw_motion("struck", seed, name) for name in SLIDING for seed in SEEDS):
         motion = drawn.motion
@@ -170,15 +194,21 @@ def test_a_central_blow_at_the_stated_time_keeps_momentum_and_returns_the_stated
         across = track.velocity[last] - along[last] * motion.direction()
         assert across[2] == pytest.approx(lift, rel=0.01)
         assert np.hypot(*across[:2]) < 1e-4, "the blow is not central"
-        errors.append((along[last] - striker[last]) / (striker[first] - along[first]) - motion.restitution)
+        errors.append(
+            (along[last] - striker[last]) / (striker[first] - along[first]) - motion.restitution
+        )
     assert np.abs(errors).max() < 0.002
     assert abs(np.mean(errors)) < 0.001
 
 
 def test_the_wall_is_met_on_time_and_returns_the_stated_share_of_the_stated_speed():
-    """Four steps of friction for the speed; a ball that begins to roll on the way stops slowing down."""
+    """Four steps of friction for the speed; a ball that begins to roll on the way stops slowing
+    down.
+    """
     errors = []
-    for name, drawn in ((name, draw_motion("wall_rebound", seed, name)) for name in SLIDING for seed in SEEDS):
+    for name, drawn in (
+        (name, draw_motion("wall_rebound", seed, name)) for name in SLIDING for seed in SEEDS
+    ):
         motion, near_m = drawn.motion, 0.002
         track = simulate(drawn.motion, drawn.target, motion.impact_s + 0.3)
         speed = track.velocity @ motion.direction()
@@ -188,7 +218,11 @@ def test_the_wall_is_met_on_time_and_returns_the_stated_share_of_the_stated_spee
         assert speed[turned - 2] == pytest.approx(motion.speed_m_s, abs=slowed)
         gap = (np.asarray(motion.contact) - track.pos) @ motion.direction()
         before = int(np.flatnonzero(gap < near_m)[0]) - 1
-        after = before + 1 + int(np.flatnonzero((gap[before + 1 :] > near_m) & (speed[before + 1 :] < 0))[0])
+        after = (
+            before
+            + 1
+            + int(np.flatnonzero((gap[before + 1 :] > near_m) & (speed[before + 1 :] < 0))[0])
+        )
         lost = motion.friction * GRAVITY_M_S2 * (track.time[after] - track.time[before]) / 2
         errors.append((lost - speed[after]) / (speed[before] - lost) - motion.restitution)
     assert np.abs(errors).max() < 0.008

@@ -23,7 +23,12 @@ BATCH, UPDATES, SAVE_EVERY = 4, 7, 3
 
 def tiny_recipe(folder: Path, **changes: object) -> Path:
     """Write a recipe of seven updates, saved after the third, the sixth and the last."""
-    recipe = {"out": str(folder / "eye"), "episodes": {"image_size": 32}, "n_episodes": 2, "batch_size": BATCH}
+    recipe = {
+        "out": str(folder / "eye"),
+        "episodes": {"image_size": 32},
+        "n_episodes": 2,
+        "batch_size": BATCH,
+    }
     recipe |= {"images": BATCH * UPDATES, "save_every": SAVE_EVERY}
     recipe |= {"eye": TINY_EYE}
     path = folder / "recipe.yaml"
@@ -65,15 +70,22 @@ def test_an_eye_is_pretrained_and_a_policy_starts_from_it(finished: Path):
 
 def test_a_run_that_was_killed_twice_ends_as_one_that_was_not(finished, tmp_path, monkeypatch):
     words = ["pretrain", "--recipe", str(tiny_recipe(tmp_path))]
-    for update, saved in ((5, [12]), (2, [12])):  # two updates after the first save, then one before the second
+    for update, saved in (
+        (5, [12]),
+        (2, [12]),
+    ):  # two updates after the first save, then one before the second
         with monkeypatch.context() as patch:
             kill_at(patch, update)
             assert main(words) == 130
         assert [line["images"] for line in log(tmp_path / "eye")] == saved
         assert not (tmp_path / "eye" / eye_training.WEIGHTS).exists()
     assert main(words) == 0
-    assert [line["loss"] for line in log(tmp_path / "eye")] == [line["loss"] for line in log(finished)]
-    weights, expected = (load_file(folder / eye_training.WEIGHTS) for folder in (tmp_path / "eye", finished))
+    assert [line["loss"] for line in log(tmp_path / "eye")] == [
+        line["loss"] for line in log(finished)
+    ]
+    weights, expected = (
+        load_file(folder / eye_training.WEIGHTS) for folder in (tmp_path / "eye", finished)
+    )
     for name, tensor in expected.items():
         torch.testing.assert_close(weights[name], tensor, rtol=0, atol=0, msg=name)
 
@@ -81,12 +93,15 @@ def test_a_run_that_was_killed_twice_ends_as_one_that_was_not(finished, tmp_path
 def test_several_processes_render_the_same_images_after_a_resume(tmp_path: Path):
     recipe = read_recipe(tiny_recipe(tmp_path, n_episodes=4), workers=2)
     whole, rest = (
-        list(DataLoader(eye_training.RenderedImages(recipe, first), None, num_workers=2)) for first in (0, SAVE_EVERY)
+        list(DataLoader(eye_training.RenderedImages(recipe, first), None, num_workers=2))
+        for first in (0, SAVE_EVERY)
     )
     assert len(whole) == UPDATES
     for one, other in zip(whole[SAVE_EVERY:], rest, strict=True):
         torch.testing.assert_close(one, other, rtol=0, atol=0)
-    assert len({place.numpy().tobytes() for _, place in whole}) == UPDATES, "no two batches are the same"
+    assert len({place.numpy().tobytes() for _, place in whole}) == UPDATES, (
+        "no two batches are the same"
+    )
 
 
 def test_a_setting_overrides_the_recipe(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -94,7 +109,9 @@ def test_a_setting_overrides_the_recipe(tmp_path: Path, capsys: pytest.CaptureFi
     assert main([*words, f"images={BATCH}"]) == 0
     assert json.loads(capsys.readouterr().out)["images"] == BATCH
     assert main([*words, "imagess=10"]) == 2
-    assert "unknown field of the recipe 'imagess' (did you mean 'images'?)" in capsys.readouterr().err
+    assert (
+        "unknown field of the recipe 'imagess' (did you mean 'images'?)" in capsys.readouterr().err
+    )
     for wrong in ("images", "images={"):
         assert main([*words, wrong]) == 2
         assert f"must be KEY=VALUE, the value as YAML, got {wrong!r}" in capsys.readouterr().err
@@ -110,7 +127,13 @@ def test_a_finished_run_is_not_trained_again(finished, monkeypatch, capsys):
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("save_every", 0), ("batch_size", 0), ("images", 3), ("randomized_share", 1.5), ("camera", "front")],
+    [
+        ("save_every", 0),
+        ("batch_size", 0),
+        ("images", 3),
+        ("randomized_share", 1.5),
+        ("camera", "front"),
+    ],
 )
 def test_a_wrong_recipe_is_refused_in_a_sentence(name: str, value: object, tmp_path: Path, capsys):
     assert main(["pretrain", "--recipe", str(tiny_recipe(tmp_path, **{name: value}))]) == 2
@@ -121,7 +144,10 @@ def test_a_wrong_recipe_is_refused_in_a_sentence(name: str, value: object, tmp_p
 def test_a_loss_that_is_not_finite_ends_the_run(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(eye_training, "sighting_loss", lambda *_: torch.tensor([float("nan")]))
     assert main(["pretrain", "--recipe", str(tiny_recipe(tmp_path))]) == 1
-    assert "the loss of update 0 is nan; lower learning_rate; the last save is in" in capsys.readouterr().err
+    assert (
+        "the loss of update 0 is nan; lower learning_rate; the last save is in"
+        in capsys.readouterr().err
+    )
 
 
 def test_a_folder_goes_back_to_its_last_whole_save(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -166,13 +192,24 @@ def test_a_log_that_leads_elsewhere_is_replaced(tmp_path: Path):
         ({"processor_s": float("nan")}, "in nan s; it must be"),
         ({"processor_s": "1"}, "processor_s must be of type float"),
         ({"weights": {}}, "Missing key"),
-        ({"weights": lambda weights: [weight.fill_(torch.inf) for weight in weights.values()]}, "weight 0"),
-        ({"optimizer": lambda saved: saved["state"][1].update(exp_avg=torch.zeros(2))}, "weight 1 or its exp_avg"),
-        ({"optimizer": lambda saved: saved["state"][2]["step"].sub_(1)}, "2 or its step is not that of 7 updates"),
+        (
+            {"weights": lambda weights: [weight.fill_(torch.inf) for weight in weights.values()]},
+            "weight 0",
+        ),
+        (
+            {"optimizer": lambda saved: saved["state"][1].update(exp_avg=torch.zeros(2))},
+            "weight 1 or its exp_avg",
+        ),
+        (
+            {"optimizer": lambda saved: saved["state"][2]["step"].sub_(1)},
+            "2 or its step is not that of 7 updates",
+        ),
         ({"optimizer": lambda saved: saved.update(state="x")}, "state must be of type"),
     ],
 )
-def test_a_saved_state_that_no_run_has_is_refused(change: dict, told: str, finished, tmp_path, capsys):
+def test_a_saved_state_that_no_run_has_is_refused(
+    change: dict, told: str, finished, tmp_path, capsys
+):
     recipe = tiny_recipe(tmp_path)
     shutil.copytree(finished, tmp_path / "eye")
     state = torch.load(tmp_path / "eye" / STATE, weights_only=True)

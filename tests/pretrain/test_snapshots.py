@@ -21,13 +21,17 @@ SPECS = sample_specs(RECIPE, range(8))
 
 @pytest.mark.parametrize("camera", ["ego", "side"])
 def test_the_calibration_is_that_of_the_camera(tmp_path: Path, camera: str):
-    """A ball that is posed where the calibration puts (u, v) is drawn around that point of the image."""
+    """A ball that is posed where the calibration puts (u, v) is drawn around that point of the
+    image.
+    """
     recipe = PretrainRecipe(tmp_path, camera, episodes=RECIPE, n_episodes=1)
     pose, (focal_px, _, centre_px, _) = calibration(recipe)
     eye = Pinhole.from_pose(pose.tolist(), centre_px / focal_px, carried=camera == "ego")
     wanted = torch.tensor([[0.0, 0.0, 0.0], [-0.6, 0.5, 0.2], [0.7, 0.4, -0.4], [-0.3, 0.8, 0.5]])
     batch = WorldBatch(RECIPE, len(wanted), threads=1)
-    batch.reset(np.arange(len(wanted)), sample_specs(replace(RECIPE, objects=("ball",)), range(len(wanted))))
+    batch.reset(
+        np.arange(len(wanted)), sample_specs(replace(RECIPE, objects=("ball",)), range(len(wanted)))
+    )
     state = batch.state + np.eye(18)[2] * 0.05
     place = eye.origin(torch.from_numpy(state[:, :3])) + eye.place(wanted)
     pose = np.concatenate([place, np.tile((1.0, 0.0, 0.0, 0.0), (len(wanted), 1))], axis=1)
@@ -39,7 +43,9 @@ def test_the_calibration_is_that_of_the_camera(tmp_path: Path, camera: str):
         assert (column, -row) == pytest.approx((u, v), abs=0.02), "to two thirds of a pixel"
 
 
-def test_the_target_is_where_they_say_fingers_move_and_some_images_come_twice(monkeypatch: pytest.MonkeyPatch):
+def test_the_target_is_where_they_say_fingers_move_and_some_images_come_twice(
+    monkeypatch: pytest.MonkeyPatch,
+):
     placed: list[np.ndarray] = []
     batch = WorldBatch(RECIPE, 32, threads=1)
     place = WorldBatch.place
@@ -53,8 +59,12 @@ def test_the_target_is_where_they_say_fingers_move_and_some_images_come_twice(mo
     now, before = np.concatenate(placed[0::2]), np.concatenate(placed[1::2])  # (256, 28) each
     places = np.concatenate([s.place for s in shown])
     np.testing.assert_allclose(places, now[:, 18:21] - now[:, :3], atol=1e-6)
-    assert len(np.unique(places, axis=0)) > 190, "some are from home, and there a target that rests is where it was"
-    assert np.ptp(places, axis=0).min() > 0.2, "targets near and far, left and right, above and below"
+    assert len(np.unique(places, axis=0)) > 190, (
+        "some are from home, and there a target that rests is where it was"
+    )
+    assert np.ptp(places, axis=0).min() > 0.2, (
+        "targets near and far, left and right, above and below"
+    )
     assert (now[:, 2] + now[:, 27] > 0.049).all(), "no palm is in the floor"
     now, before = now[:, 3:18], before[:, 3:18]
     moving = np.abs(now - before).max(axis=1) > 1e-3
@@ -70,14 +80,21 @@ def test_a_share_of_the_episodes_is_randomised(tmp_path: Path):
     def surroundings(share: float) -> int:
         """Return how many of four episodes have distractors."""
         recipe = PretrainRecipe(tmp_path, episodes=RECIPE, n_episodes=4, randomized_share=share)
-        return sum(bool(spec.appearance.distractors) for spec in shown_specs(recipe, RECIPE, range(4)))
+        return sum(
+            bool(spec.appearance.distractors) for spec in shown_specs(recipe, RECIPE, range(4))
+        )
 
     assert [surroundings(share) for share in (0.0, 0.5, 1.0)] == [0, 2, 4]
 
 
 def test_hands_take_turns(tmp_path: Path):
     recipe = PretrainRecipe(
-        tmp_path, episodes=RECIPE, hands=("capsule", "opposed"), n_episodes=2, batch_size=2, images=2
+        tmp_path,
+        episodes=RECIPE,
+        hands=("capsule", "opposed"),
+        n_episodes=2,
+        batch_size=2,
+        images=2,
     )
     stream = ImageStream(recipe)(0)
     worlds = [WorldBatch(replace(RECIPE, hand=hand), 2, threads=1) for hand in recipe.hands]

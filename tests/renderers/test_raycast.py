@@ -13,7 +13,8 @@ from tests.world.playing import wait, world
 
 SIZE = 64
 SAME_HUE = 0.95
-"""Least cosine between a median colour and the tint it should have: shading changes its brightness, not its hue."""
+"""Least cosine between a median colour and the tint it should have: shading changes its brightness,
+not its hue."""
 
 
 @pytest.fixture(scope="module", params=["tiles", "warp"])
@@ -43,14 +44,19 @@ def test_things_have_their_colours_where_the_labels_say_they_are(watching, image
             pixels = image[np.isin(seen, ids)]
             if len(pixels) >= (8 if thing == "target" else 50):  # a table may cover the floor
                 # the median, as pixels on edges hold some of what is behind
-                colour, tint = np.median(pixels, axis=0), np.array(getattr(spec.appearance, f"{thing}_rgb"))
+                colour, tint = (
+                    np.median(pixels, axis=0),
+                    np.array(getattr(spec.appearance, f"{thing}_rgb")),
+                )
                 cosine = colour @ tint / np.linalg.norm(colour) / np.linalg.norm(tint)
                 assert cosine > SAME_HUE, (spec.motion.name, thing)
                 compared[thing] += 1
     assert min(compared.values()) >= 12
 
 
-def test_worlds_that_are_not_asked_for_are_black_and_the_others_unchanged(watching: WorldBatch, images: np.ndarray):
+def test_worlds_that_are_not_asked_for_are_black_and_the_others_unchanged(
+    watching: WorldBatch, images: np.ndarray
+):
     some = watching.cameras.render(np.array([4, 17]))
     np.testing.assert_array_equal(some[[4, 17]], images[[4, 17]])
     assert not np.delete(some, [4, 17], axis=0).any()
@@ -62,7 +68,9 @@ def test_a_shape_it_cannot_draw_is_refused(specs: list[EpisodeSpec]) -> None:
     kind = batch.scene.model.geom_type[geom]
     batch.scene.model.geom_type[geom] = mujoco.mjtGeom.mjGEOM_MESH.value
     try:
-        with pytest.raises(ValueError, match=r"'tiles' cannot draw MuJoCo's geom types \[7\]; use 'warp'"):
+        with pytest.raises(
+            ValueError, match=r"'tiles' cannot draw MuJoCo's geom types \[7\]; use 'warp'"
+        ):
             RENDERERS["tiles"](batch.scene, batch._batch, 32, EGO_VIEW)
     finally:
         batch.scene.model.geom_type[geom] = kind

@@ -1,4 +1,6 @@
-"""Every view shows the same worlds, whoever draws them; depth is a distance, segmentation names what is there."""
+"""Every view shows the same worlds, whoever draws them; depth is a distance, segmentation names
+what is there.
+"""
 
 import numpy as np
 import pytest
@@ -26,22 +28,30 @@ def batch(specs: list[EpisodeSpec]) -> WorldBatch:
 
 
 @pytest.mark.parametrize("frames", [0, 30])
-def test_without_soft_light_tiles_draw_what_mujoco_warp_draws(frames: int, specs: list[EpisodeSpec]) -> None:
+def test_without_soft_light_tiles_draw_what_mujoco_warp_draws(
+    frames: int, specs: list[EpisodeSpec]
+) -> None:
     """Also when the hand has closed, so that shapes are near the camera."""
-    flat, soft, warp = (world(specs[:22:3], image_size=SIZE, renderer=name) for name in ("flat", "tiles", "warp"))
+    flat, soft, warp = (
+        world(specs[:22:3], image_size=SIZE, renderer=name) for name in ("flat", "tiles", "warp")
+    )
     for batch in (flat, soft, warp):
         for _ in range(frames):
             batch.step(batch.executed + np.r_[np.zeros(3), np.full(15, 0.05)])
     for view in (EGO_VIEW, *EXTRA_VIEWS):
         ours, theirs = flat.cameras.render(view=view).astype(int), warp.cameras.render(view=view)
         if view not in (EGO_VIEW, "side"):
-            np.testing.assert_array_equal(soft.cameras.render(view=view), ours, "soft light changes no label")
+            np.testing.assert_array_equal(
+                soft.cameras.render(view=view), ours, "soft light changes no label"
+            )
         assert (np.abs(ours - theirs).max(axis=-1) > LEVELS).mean() < MOST_DIFFERENT, view
         assert ours.std(axis=(1, 2, 3)).min() > 5.0, view
 
 
 def test_depth_is_the_distance_along_the_axis(batch: WorldBatch) -> None:
-    """The target's nearest pixel lies before its centre, by no more than the largest object is wide."""
+    """The target's nearest pixel lies before its centre, by no more than the largest object is
+    wide.
+    """
     labels, depth = batch.cameras.segmentation(), batch.cameras.depth()
     camera = batch._batch.bind("cam_xpos")[:, batch.scene.camera]
     axis = -batch._batch.bind("cam_xmat")[:, batch.scene.camera].reshape(-1, 3, 3)[:, :, 2]
@@ -67,12 +77,18 @@ def test_images_of_depth_and_segmentation(batch: WorldBatch) -> None:
     assert (images["ego_segmentation"][is_target] == COLORS["target"]).all()
     assert not (images["ego_segmentation"][~is_target] == COLORS["target"]).all(axis=-1).any()
     for thing in ("hand", "target"):
-        assert (images["side_segmentation"] == COLORS[thing]).all(axis=-1).any(axis=(1, 2)).mean() > 0.7
+        assert (images["side_segmentation"] == COLORS[thing]).all(axis=-1).any(
+            axis=(1, 2)
+        ).mean() > 0.7
 
 
-def test_motion_shows_the_frames_two_and_four_before_in_its_channels(specs: list[EpisodeSpec]) -> None:
+def test_motion_shows_the_frames_two_and_four_before_in_its_channels(
+    specs: list[EpisodeSpec],
+) -> None:
     recipe = Recipe(split=specs[0].split, image_size=32, views=("ego_motion",))
-    one, *_ = episodes = list(record(recipe, [specs[0].seed, specs[1].seed, specs[2].seed], batch_size=2))
+    one, *_ = episodes = list(
+        record(recipe, [specs[0].seed, specs[1].seed, specs[2].seed], batch_size=2)
+    )
     luminance = [0.299, 0.587, 0.114]
     for episode in episodes:
         grey = episode.images["ego"] @ luminance

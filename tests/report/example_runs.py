@@ -17,7 +17,11 @@ LENGTHS = (32, 48, 52, 70, 96, 130)
 
 
 def play(
-    count: int, skill: float, capture: str = "attach", image_size: int | None = None, **meta_changes: str
+    count: int,
+    skill: float,
+    capture: str = "attach",
+    image_size: int | None = None,
+    **meta_changes: str,
 ) -> Iterator[Episode]:
     """Yield ``count`` episodes; a share of about ``skill`` of them is caught."""
     for seed in range(count):
@@ -28,13 +32,22 @@ def play(
         changes = {"category": category, "motion": kind, "split": "test_small"} | meta_changes
         meta = replace(episode.meta, capture=capture, **changes)
         travel = np.array([0.3, 0.1, 0.05], np.float32) * (0.1 + 0.4 * (seed % 5)) ** 1.5
-        action = episode.action + rng.normal(0, 0.004 * (1.2 - skill), episode.action.shape).astype(np.float32)
+        action = episode.action + rng.normal(0, 0.004 * (1.2 - skill), episode.action.shape).astype(
+            np.float32
+        )
         stage = episode.stage
         if capture == "contact":
-            stage = str(rng.choice(["missed", "touched", "enclosed", "slipped"])) if miss else "held"
+            stage = (
+                str(rng.choice(["missed", "touched", "enclosed", "slipped"])) if miss else "held"
+            )
         start = episode.palm_pos_h[episode.meta.window_frames]
         yield replace(
-            episode, meta=meta, action=action, stage=stage, success=not miss, intercept_position=start + travel
+            episode,
+            meta=meta,
+            action=action,
+            stage=stage,
+            success=not miss,
+            intercept_position=start + travel,
         )
 
 
@@ -53,4 +66,6 @@ def example_run(
     """Write the result folder of a made-up policy; ``rules`` are changes of ``EpisodeMeta``."""
     command = command or f"dynahoi evaluate --policy {policy} --split test_small"
     info = RunInfo(policy, "test_small", capture, command, "f00dcafe", extra, benchmark)
-    return write_results(folder, play(count, skill, capture, benchmark=benchmark, **(rules or {})), info)
+    return write_results(
+        folder, play(count, skill, capture, benchmark=benchmark, **(rules or {})), info
+    )

@@ -1,4 +1,6 @@
-"""The report: figures of any results, labels that tell them apart, a page that loads nothing, honest comparisons."""
+"""The report: figures of any results, labels that tell them apart, a page that loads nothing,
+honest comparisons.
+"""
 
 import base64
 from html.parser import HTMLParser
@@ -14,34 +16,59 @@ from dynahoi_lerobot.evaluate.results import Results, RunInfo
 from dynahoi_lerobot.evaluate.table import Table, metric_cell
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.report import figures, page, render_report
-from dynahoi_lerobot.report.entries import Entry, distinct_episodes, read_entries, short_name, unique_labels
+from dynahoi_lerobot.report.entries import (
+    Entry,
+    distinct_episodes,
+    read_entries,
+    short_name,
+    unique_labels,
+)
 from dynahoi_lerobot.report.page import clips_of, comparison_tables, page_content
 from tests.report.example_runs import example_run
 
-HOSTILE = "<script>alert('x')</script><img src=https://evil.example/a.png onerror=alert(1)>\"&{{ 7*7 }} $x^{"
+HOSTILE = (
+    "<script>alert('x')</script><img src=https://evil.example/a.png onerror=alert(1)>\"&{{ "
+    "7*7 }} $x^{"
+)
 FIGURES = {figure.name: figure for figure in figures.FIGURES}
-ALWAYS = {"main", "stages", "time-to-catch", "per-frame-grasp", "data", "joint-deltas", "palm-displacements"}
+ALWAYS = {
+    "main",
+    "stages",
+    "time-to-catch",
+    "per-frame-grasp",
+    "data",
+    "joint-deltas",
+    "palm-displacements",
+}
 
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Result folders: of three honest policies, of a hostile one, and of two that differ by their inference."""
+    """Result folders: of three honest policies, of a hostile one, and of two that differ by their
+    inference.
+    """
     root = tmp_path_factory.mktemp("runs")
     example_run(root / "strong", "strong", 1.0, 24)
     example_run(root / "weak", "weak", 0.1, 24)
     example_run(root / "holder", "holder", 0.5, 24, capture="contact")
     odd = {"note": "<b>", "number": 10**15}
-    example_run(root / "hostile", HOSTILE, 0.9, 24, command=f"dynahoi evaluate --policy '{HOSTILE}'", **odd)
+    example_run(
+        root / "hostile", HOSTILE, 0.9, 24, command=f"dynahoi evaluate --policy '{HOSTILE}'", **odd
+    )
     for label in ("rtc 150 ms", "async measured"):
         example_run(root / label, "contact", 0.4, 12, capture="contact", inference=label)
     for index in range(2):
-        write_gif(root / "strong" / f"clip_{index}.gif", np.full((3, 8, 8, 3), 90 * index, np.uint8))
+        write_gif(
+            root / "strong" / f"clip_{index}.gif", np.full((3, 8, 8, 3), 90 * index, np.uint8)
+        )
     return root
 
 
 @pytest.fixture(scope="module")
 def entries(runs: Path) -> list[Entry]:
-    return read_entries([runs / "strong", runs / "weak", runs / "holder", runs / "weak" / ".." / "weak"])
+    return read_entries(
+        [runs / "strong", runs / "weak", runs / "holder", runs / "weak" / ".." / "weak"]
+    )
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +76,7 @@ def odd(runs: Path) -> list[Entry]:
     return read_entries([runs / "hostile", runs / "rtc 150 ms", runs / "async measured"])
 
 
-# -- labels -----------------------------------------------------------------------------------------------------------
+# -- labels ----------------------------------------------------------------------------------------
 
 
 def named(policy: str, folder: str = "run", **extra: object) -> Results:
@@ -74,8 +101,16 @@ def test_a_label_is_the_telling_part_of_a_name(policy: str, label: str):
 def test_equal_names_are_told_apart_by_conditions_then_folder_then_number():
     late = named("obact", inference="async 150 ms")
     noisy = named("obact", recipe={"render_noise": 2})
-    assert unique_labels([late, noisy, named("obact")]) == ["obact, async 150 ms", "obact, noise 2", "obact"]
-    assert unique_labels([named("a", "s1"), named("a", "s5"), named("b")]) == ["a (s1)", "a (s5)", "b"]
+    assert unique_labels([late, noisy, named("obact")]) == [
+        "obact, async 150 ms",
+        "obact, noise 2",
+        "obact",
+    ]
+    assert unique_labels([named("a", "s1"), named("a", "s5"), named("b")]) == [
+        "a (s1)",
+        "a (s5)",
+        "b",
+    ]
     assert unique_labels([named("a", "x/run"), named("a", "y/run")]) == ["a (run) #1", "a (run) #2"]
 
 
@@ -85,7 +120,7 @@ def test_entries_come_best_first_and_once(entries: list[Entry]):
     assert len(distinct_episodes(entries)) == 24
 
 
-# -- figures ----------------------------------------------------------------------------------------------------------
+# -- figures ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", FIGURES)
@@ -93,8 +128,15 @@ def test_a_figure_is_a_well_formed_inert_drawing(name: str, odd: list[Entry]):
     address = FIGURES[name].render(odd)
     text = base64.b64decode(address.removeprefix("data:image/svg+xml;base64,")).decode()
     root = ElementTree.fromstring(text)
-    assert not {"script", "foreignObject"} & {element.tag.partition("}")[2] for element in root.iter()}
-    links = [value for element in root.iter() for key, value in element.attrib.items() if key.endswith("href")]
+    assert not {"script", "foreignObject"} & {
+        element.tag.partition("}")[2] for element in root.iter()
+    }
+    links = [
+        value
+        for element in root.iter()
+        for key, value in element.attrib.items()
+        if key.endswith("href")
+    ]
     assert all(link.startswith(("#", "data:")) for link in links)
     assert "nan" not in "".join(element.get("d", "") for element in root.iter())
     assert "var(--ink)" in text
@@ -111,13 +153,16 @@ def test_figures_of_one_episode_are_drawn_or_left_out(tmp_path: Path):
 
 def test_deltas_are_those_of_the_control_phase(entries: list[Entry]):
     results = entries[0].results
-    logs = [actions[row["window_frames"] :] for row, actions in zip(results.rows, results.actions, strict=True)]
+    logs = [
+        actions[row["window_frames"] :]
+        for row, actions in zip(results.rows, results.actions, strict=True)
+    ]
     np.testing.assert_array_equal(
         figures.command_deltas(results), np.concatenate([np.diff(log, axis=0) for log in logs])
     )
 
 
-# -- tables -----------------------------------------------------------------------------------------------------------
+# -- tables ----------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -136,14 +181,25 @@ def column(table: Table, title: str) -> dict:
 def test_both_tables_together_hold_every_estimate_once(entries: list[Entry], content: dict):
     tables = content["main_metrics"], content["other_metrics"]
     for name in METRICS.names():
-        (table,) = [table for table in tables if any(head.split()[0] == name for head in table.head)]
+        (table,) = [
+            table for table in tables if any(head.split()[0] == name for head in table.head)
+        ]
         for entry in entries:
-            assert column(table, name)[entry.label].text == metric_cell(entry.results.summary[name]).text
+            assert (
+                column(table, name)[entry.label].text
+                == metric_cell(entry.results.summary[name]).text
+            )
 
 
-def test_conditions_are_columns_where_evaluations_differ_and_in_the_caption_where_they_agree(content: dict):
+def test_conditions_are_columns_where_evaluations_differ_and_in_the_caption_where_they_agree(
+    content: dict,
+):
     table = content["main_metrics"]
-    assert sorted(cell.text for cell in column(table, "capture").values()) == ["attach", "attach", "contact"]
+    assert sorted(cell.text for cell in column(table, "capture").values()) == [
+        "attach",
+        "attach",
+        "contact",
+    ]
     assert "split" not in table.head
     assert "split test_small" in table.caption
     assert "n 24" in table.caption
@@ -155,9 +211,14 @@ def test_the_best_is_marked_under_equal_conditions_only(content: dict):
 
 
 def test_the_comparison_is_antisymmetric_and_under_equal_conditions(entries: list[Entry]):
-    tables = dict(zip(("S_loc", "S_joint", "E_loc", "commands"), comparison_tables(entries), strict=True))
+    tables = dict(
+        zip(("S_loc", "S_joint", "E_loc", "commands"), comparison_tables(entries), strict=True)
+    )
     for name, better in (("S_loc", 1), ("E_loc", -1)):
-        above, below = column(tables[name], "weak")["strong"], column(tables[name], "strong")["weak"]
+        above, below = (
+            column(tables[name], "weak")["strong"],
+            column(tables[name], "strong")["weak"],
+        )
         assert above.key == pytest.approx(-below.key)
         assert above.key * better > 0
         assert (above.mark, below.mark) == ("better", "worse")
@@ -166,7 +227,7 @@ def test_the_comparison_is_antisymmetric_and_under_equal_conditions(entries: lis
     assert comparison_tables(entries[:1]) == []
 
 
-# -- the page ---------------------------------------------------------------------------------------------------------
+# -- the page --------------------------------------------------------------------------------------
 
 
 class Page(HTMLParser):
@@ -192,9 +253,15 @@ def test_a_page_holds_everything_and_loads_nothing(runs: Path, monkeypatch: pyte
     parsed = Page(html)
     sections = {attributes["id"] for tag, attributes in parsed.tags if tag == "section"}
     assert sections == {"results", "comparison", "stages", "clips", "kinds", "runs", "glossary"}
-    assert {attributes["href"] for tag, attributes in parsed.tags if tag == "a"} == {f"#{name}" for name in sections}
+    assert {attributes["href"] for tag, attributes in parsed.tags if tag == "a"} == {
+        f"#{name}" for name in sections
+    }
     assert f"dynahoi evaluate --policy '{HOSTILE}'" in parsed.text
-    clips = [a["alt"] for tag, a in parsed.tags if tag == "img" and a["src"].startswith("data:image/gif;base64,")]
+    clips = [
+        a["alt"]
+        for tag, a in parsed.tags
+        if tag == "img" and a["src"].startswith("data:image/gif;base64,")
+    ]
     assert clips == ["clip_0", "clip_1"]
     names = [tag for tag, _ in parsed.tags]
     assert names.count("script") == 1
@@ -204,13 +271,17 @@ def test_a_page_holds_everything_and_loads_nothing(runs: Path, monkeypatch: pyte
         for name in ("src", "href", "srcset", "data", "action", "poster"):
             assert attributes.get(name, "#").startswith(("#", "data:image/"))
     assert "url(" not in html.partition("</style>")[0]
-    policy = next(a["content"] for tag, a in parsed.tags if a.get("http-equiv") == "Content-Security-Policy")
+    policy = next(
+        a["content"] for tag, a in parsed.tags if a.get("http-equiv") == "Content-Security-Policy"
+    )
     assert policy.startswith("default-src 'none'")
     assert render_report(folders, runs / "strong") == runs / "strong" / "report.html"
     assert (runs / "strong" / "report.html").read_text() == html, "the page is the same every time"
 
 
-def test_clips_are_the_first_gifs_of_the_folder_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_clips_are_the_first_gifs_of_the_folder_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     (tmp_path / "secret").write_bytes(b"GIF89a secret")
     folder = tmp_path / "run"
     write_gif(folder / "true\x1b.gif", np.zeros((2, 8, 8, 3), np.uint8))
@@ -226,7 +297,9 @@ def test_clips_are_the_first_gifs_of_the_folder_itself(tmp_path: Path, monkeypat
     assert clips_of(folder)[1] == 1
 
 
-def test_evaluations_under_other_conditions_are_paired_only_where_that_is_asked_for(tmp_path, capsys, monkeypatch):
+def test_evaluations_under_other_conditions_are_paired_only_where_that_is_asked_for(
+    tmp_path, capsys, monkeypatch
+):
     monkeypatch.setattr(figures, "FIGURES", figures.FIGURES[:1])
     example_run(tmp_path / "a", "a", 0.9, 8, recipe={"render_noise": 0})
     example_run(tmp_path / "b", "a", 0.3, 8, recipe={"render_noise": 2})

@@ -7,7 +7,13 @@ import pytest
 
 from dynahoi_lerobot.core.agent import ChunkAgent, Observation
 from dynahoi_lerobot.core.rules import one_hot_phase
-from dynahoi_lerobot.rollout.inference import Inference, QueuedPolicy, RealTimeAgent, StepwiseInference, frames_of
+from dynahoi_lerobot.rollout.inference import (
+    Inference,
+    QueuedPolicy,
+    RealTimeAgent,
+    StepwiseInference,
+    frames_of,
+)
 
 STILL = -1.0
 
@@ -88,13 +94,20 @@ def test_a_measured_latency_is_that_of_each_world():
 def test_real_time_chunking_tells_what_is_executed_and_how_long_it_will_take():
     clock = Clock()
     played(RealTimeAgent(clock, Inference("rtc", 100.0)), 7)
-    # The chunk of frame 0 is ready at frame 2; then two of its actions are past and two will be by the next.
-    assert [call[2:] for call in clock.calls] == [(None, None), ([2, 2], [2, 2]), ([2, 2], [2, 2]), ([2, 2], [2, 2])]
+    # The chunk of frame 0 is ready at frame 2; then two of its actions are past and two will be by
+    # the next.
+    assert [call[2:] for call in clock.calls] == [
+        (None, None),
+        ([2, 2], [2, 2]),
+        ([2, 2], [2, 2]),
+        ([2, 2], [2, 2]),
+    ]
     assert clock.guided
 
 
 @pytest.mark.parametrize(
-    ("mode", "latency_ms"), [("late", 0.0), ("sync", 50.0), ("sync", None), ("async", -1.0), ("async", float("nan"))]
+    ("mode", "latency_ms"),
+    [("late", 0.0), ("sync", 50.0), ("sync", None), ("async", -1.0), ("async", float("nan"))],
 )
 def test_impossible_timings_are_refused(mode: str, latency_ms: float | None):
     with pytest.raises(ValueError, match="inference"):
@@ -110,15 +123,20 @@ def test_timings_that_an_agent_does_not_support_are_refused(timing: Inference):
         played(RealTimeAgent(clock, timing), 1)
 
 
-@pytest.mark.parametrize(("latency_ms", "frames"), [(0, 0), (1, 1), (50, 1), (51, 2), (150, 3), (370, 8)])
-def test_a_chunk_is_ready_at_the_first_frame_at_which_its_inference_has_ended(latency_ms: float, frames: int):
+@pytest.mark.parametrize(
+    ("latency_ms", "frames"), [(0, 0), (1, 1), (50, 1), (51, 2), (150, 3), (370, 8)]
+)
+def test_a_chunk_is_ready_at_the_first_frame_at_which_its_inference_has_ended(
+    latency_ms: float, frames: int
+):
     assert frames_of(latency_ms / 1000) == frames
 
 
 def stepwise(policy: QueuedPolicy, latency_ms: float, frames: int) -> list[float]:
     """What is executed in each frame of a world that plays so many.
 
-    As LeRobot's policies do, this one infers if its queue is empty, and else answers from it without a look.
+    As LeRobot's policies do, this one infers if its queue is empty, and else answers from it
+    without a look.
     """
     inference, queue = StepwiseInference(policy, Inference("async", latency_ms)), deque[float]()
     executed = list[float]()

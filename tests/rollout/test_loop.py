@@ -69,9 +69,17 @@ def clumsy(monkeypatch: pytest.MonkeyPatch) -> Recipe:
 
 
 @pytest.mark.parametrize("batch_size", [3, 32])
-def test_failed_attempts_are_retried_and_successes_come_in_the_order_of_the_seeds(clumsy: Recipe, batch_size: int):
+def test_failed_attempts_are_retried_and_successes_come_in_the_order_of_the_seeds(
+    clumsy: Recipe, batch_size: int
+):
     episodes = list(record(clumsy, SEEDS, batch_size=batch_size, threads=1))
-    assert [(e.meta.seed, e.meta.attempts) for e in episodes] == [(0, 1), (1, 2), (5, 3), (4, 2), (10, 1)]
+    assert [(e.meta.seed, e.meta.attempts) for e in episodes] == [
+        (0, 1),
+        (1, 2),
+        (5, 3),
+        (4, 2),
+        (10, 1),
+    ]
     assert all(episode.success for episode in episodes)
 
 
@@ -101,23 +109,34 @@ def test_a_recording_plays_again_from_the_commands_given(capture: str):
         assert capture == "contact" or np.abs(episode.action - episode.given_action).max() > 0.01
 
 
-def test_an_agent_is_reset_before_each_group_and_sees_it_from_its_first_frame(specs: list[EpisodeSpec]):
+def test_an_agent_is_reset_before_each_group_and_sees_it_from_its_first_frame(
+    specs: list[EpisodeSpec],
+):
     agent = Remembering()
     batch = WorldBatch(QUICK, 3, threads=1)
-    jobs = (Job(i, spec, frames) for i, (spec, frames) in enumerate(zip(specs, (12, 10, 14, 9, 11), strict=False)))
+    jobs = (
+        Job(i, spec, frames)
+        for i, (spec, frames) in enumerate(zip(specs, (12, 10, 14, 9, 11), strict=False))
+    )
     played = dict(play(batch, agent, jobs))
     assert agent.resets == [3, 3], "five jobs in three worlds are two groups"
-    assert [len(shown) for shown in agent.shown] == [14, 11], "a group lasts as long as its longest job"
+    assert [len(shown) for shown in agent.shown] == [14, 11], (
+        "a group lasts as long as its longest job"
+    )
     assert sorted(job.index for job in played) == [0, 1, 2, 3, 4]
     for job, episode in played.items():
         assert len(episode) == job.frames
         shown = agent.shown[job.index // 3]
         np.testing.assert_array_equal(shown[0].state[job.index % 3, :3], 0)
-        np.testing.assert_array_equal(episode.state, [o.state[job.index % 3] for o in shown[: job.frames]])
+        np.testing.assert_array_equal(
+            episode.state, [o.state[job.index % 3] for o in shown[: job.frames]]
+        )
 
 
 @pytest.mark.parametrize("sees_images", [False, True])
-def test_an_agent_is_shown_observations_and_nothing_else(specs: list[EpisodeSpec], sees_images: bool):
+def test_an_agent_is_shown_observations_and_nothing_else(
+    specs: list[EpisodeSpec], sees_images: bool
+):
     agent = Remembering(sees_images=sees_images)
     episodes = list(evaluate(WorldBatch(SEEING, 2, threads=1), agent, specs[:2]))
     for shown in agent.shown[0]:

@@ -34,15 +34,21 @@ def moved(hand: str, home_w: np.ndarray, palm_w: np.ndarray, joints: np.ndarray)
 
 @pytest.mark.parametrize("hand", HANDS.names())
 @pytest.mark.parametrize(("camera", "carried"), [(EGO_VIEW, True), (SIDE_CAMERA, False)])
-def test_camera_poses_follow_from_the_palm_by_a_fixed_transform(hand: str, camera: str, carried: bool):
+def test_camera_poses_follow_from_the_palm_by_a_fixed_transform(
+    hand: str, camera: str, carried: bool
+):
     rng, model = np.random.default_rng(3), compile_scene(hand).model
     fixed = camera_pose(model, camera)
     for _ in range(5):
         home, palm = rng.uniform([-1, -1, 0.5], [1, 1, 1.5], (2, 3))
         data = moved(hand, home, palm, rng.uniform(0, 1, 15))
         found = data.camera(camera)
-        np.testing.assert_allclose(found.xpos, (palm if carried else home) + fixed[:3], atol=POSITION_ERROR_M)
-        np.testing.assert_allclose(found.xmat.reshape(3, 3), quat_to_matrix(fixed[3:]), atol=POSITION_ERROR_M)
+        np.testing.assert_allclose(
+            found.xpos, (palm if carried else home) + fixed[:3], atol=POSITION_ERROR_M
+        )
+        np.testing.assert_allclose(
+            found.xmat.reshape(3, 3), quat_to_matrix(fixed[3:]), atol=POSITION_ERROR_M
+        )
 
 
 def test_the_object_is_the_one_that_is_simulated(specs: list[EpisodeSpec]):
@@ -52,14 +58,20 @@ def test_the_object_is_the_one_that_is_simulated(specs: list[EpisodeSpec]):
     for i, spec in enumerate(specs):
         kept = episode_constants(batch, spec, None)
         assert kept["object_mass"] == fields["body_mass"][i, scene.target_body]
-        np.testing.assert_array_equal(kept["object_inertia"], fields["body_inertia"][i, scene.target_body])
+        np.testing.assert_array_equal(
+            kept["object_inertia"], fields["body_inertia"][i, scene.target_body]
+        )
         hand, *surfaces = (
             fields["geom_friction"][i, list(geoms), 0].max()
             for geoms in (scene.hand_geoms, scene.target_geoms, scene.box_geoms)
         )
         assert kept["object_friction"] == [hand, max(surfaces)], spec.motion.name
-        for solid, geom in zip(from_table(kept["object_primitives"]), scene.slots_of(spec.target), strict=True):
-            np.testing.assert_allclose(fields["geom_size"][i, geom], solid.half_size, rtol=1e-6, atol=1e-9)
+        for solid, geom in zip(
+            from_table(kept["object_primitives"]), scene.slots_of(spec.target), strict=True
+        ):
+            np.testing.assert_allclose(
+                fields["geom_size"][i, geom], solid.half_size, rtol=1e-6, atol=1e-9
+            )
             np.testing.assert_allclose(fields["geom_pos"][i, geom], solid.pos, rtol=1e-6, atol=1e-9)
 
 
@@ -74,11 +86,16 @@ def test_the_hand_does_what_the_expert_planned_first(in_class, control):
         first = episode.first_localized
         assert first - start <= round(lead_s / CONTROL_DT)
         if first > start + 2:
-            left = np.linalg.norm(episode.palm_pos_h[start + 2] - episode.palm_pos_h[start + 1]) / CONTROL_DT
+            left = (
+                np.linalg.norm(episode.palm_pos_h[start + 2] - episode.palm_pos_h[start + 1])
+                / CONTROL_DT
+            )
             assert left == pytest.approx(speed, abs=0.02), episode.meta.motion
 
 
-def test_the_target_path_is_where_the_target_is_until_it_is_touched(expert_episodes, contact_episodes):
+def test_the_target_path_is_where_the_target_is_until_it_is_touched(
+    expert_episodes, contact_episodes
+):
     for episode in [*expert_episodes[:22], *contact_episodes]:
         meta, path = episode.meta, episode.target_path
         assert len(path) == meta.window_frames + meta.length_frames + 1 >= len(episode)
@@ -88,7 +105,9 @@ def test_the_target_path_is_where_the_target_is_until_it_is_touched(expert_episo
         assert np.abs(apart).max() < 1e-4, meta.motion
 
 
-def test_a_catch_by_contact_is_planned_where_the_palm_gets_to_the_target(contact_episodes: list[Episode]):
+def test_a_catch_by_contact_is_planned_where_the_palm_gets_to_the_target(
+    contact_episodes: list[Episode],
+):
     for episode in contact_episodes:
         planned = episode.meta.window_frames + round(float(episode.first_plan[1]) / CONTROL_DT)
         assert abs(episode.first_localized - planned) <= 2, episode.meta.motion

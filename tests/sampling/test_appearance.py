@@ -1,4 +1,6 @@
-"""Appearance and furniture change images and nothing else, and hide no target; each draw has numbers of its own."""
+"""Appearance and furniture change images and nothing else, and hide no target; each draw has
+numbers of its own.
+"""
 
 from dataclasses import replace
 
@@ -31,14 +33,20 @@ def plain(few: list[EpisodeSpec]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", RANDOMIZATIONS)
-def test_a_randomization_changes_what_is_seen_in_every_episode(name: str, few: list[EpisodeSpec], plain) -> None:
+def test_a_randomization_changes_what_is_seen_in_every_episode(
+    name: str, few: list[EpisodeSpec], plain
+) -> None:
     """What it sets is the same alone and with all others."""
     varied = [randomize_appearance(spec, [name]) for spec in few]
     assert all(new.appearance != old.appearance for new, old in zip(varied, few, strict=True))
     assert (np.abs(images(varied) - plain).max(axis=(1, 2, 3)) > 8).mean() > 0.7
     for spec in few:
-        alone, together = (randomize_appearance(spec, names).appearance for names in ([name], list(RANDOMIZATIONS)))
-        changed = [name for name, value in vars(alone).items() if value != getattr(spec.appearance, name)]
+        alone, together = (
+            randomize_appearance(spec, names).appearance for names in ([name], list(RANDOMIZATIONS))
+        )
+        changed = [
+            name for name, value in vars(alone).items() if value != getattr(spec.appearance, name)
+        ]
         assert changed
         assert all(getattr(alone, name) == getattr(together, name) for name in changed)
 
@@ -56,14 +64,21 @@ def test_distractors_stand_behind_the_targets_path(few: list[EpisodeSpec]) -> No
     for spec in few:
         things = randomize_appearance(spec, ["distractors"]).appearance.distractors
         assert 1 <= len(things) <= 4
-        assert all(thing.pos_w[0] - max(thing.half_size) > spec.target_path_w[:, 0].max() for thing in things)
+        assert all(
+            thing.pos_w[0] - max(thing.half_size) > spec.target_path_w[:, 0].max()
+            for thing in things
+        )
 
 
 def test_translucent_targets_are_blended_with_what_is_behind(few: list[EpisodeSpec]) -> None:
-    """Without soft light: a translucent target also casts a paler shadow, and smooth edges blend once more."""
+    """Without soft light: a translucent target also casts a paler shadow, and smooth edges blend
+    once more.
+    """
 
     def seen(alpha: float) -> np.ndarray:
-        varied = [replace(spec, appearance=replace(spec.appearance, target_alpha=alpha)) for spec in few]
+        varied = [
+            replace(spec, appearance=replace(spec.appearance, target_alpha=alpha)) for spec in few
+        ]
         return images(varied, "flat")
 
     solid, behind = seen(1.0), seen(0.0)
@@ -71,12 +86,17 @@ def test_translucent_targets_are_blended_with_what_is_behind(few: list[EpisodeSp
 
 
 def test_every_seed_has_its_own_furniture(specs: list[EpisodeSpec]) -> None:
-    assert all(furnish(spec).appearance == spec.appearance for spec in specs[:22]), "it is a function of the episode"
+    assert all(furnish(spec).appearance == spec.appearance for spec in specs[:22]), (
+        "it is a function of the episode"
+    )
     rooms = {spec.appearance.furniture for spec in specs[:22]}
     assert len(rooms) >= 20
     assert np.median([len(room) for room in rooms]) >= 5
     assert max(len(room) for room in rooms) <= FURNITURE_SLOTS
-    behind = [sum(solid.pos_w[0] < spec.home_pos_w[0] for solid in spec.appearance.furniture) for spec in specs[:22]]
+    behind = [
+        sum(solid.pos_w[0] < spec.home_pos_w[0] for solid in spec.appearance.furniture)
+        for spec in specs[:22]
+    ]
     assert min(behind) >= 3, "the second camera looks backwards"
 
 
@@ -95,7 +115,10 @@ def test_furniture_hides_no_target(specs: list[EpisodeSpec]) -> None:
     for some in (specs[:22], bare):
         batch = world(some, image_size=96, views=("side",))
         wait(batch)
-        labels = [batch.cameras._renderer(camera).segmentation(np.arange(22)) for camera in ("ego", "side")]
+        labels = [
+            batch.cameras._renderer(camera).segmentation(np.arange(22))
+            for camera in ("ego", "side")
+        ]
         views.append(np.isin(labels, batch.scene.target_geoms))
     assert views[1].any(axis=(2, 3)).mean() > 0.8
     np.testing.assert_array_equal(views[0], views[1])

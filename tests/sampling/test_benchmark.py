@@ -1,4 +1,6 @@
-"""The benchmark is a frozen list: its episodes have the committed digests, whatever else is registered."""
+"""The benchmark is a frozen list: its episodes have the committed digests, whatever else is
+registered.
+"""
 
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -23,8 +25,12 @@ def test_the_definition_is_pinned():
 
 def test_the_definition_holds_all_that_decides_a_result(monkeypatch: pytest.MonkeyPatch):
     said = asdict(BENCHMARK)
-    assert [control["name"] for control in said["rules"]["control_classes"]] == list(CONTROL_CLASSES)
-    faster = tuple(replace(control, palm_speed_m_s=0.6) for control in BENCHMARK.rules["control_classes"])
+    assert [control["name"] for control in said["rules"]["control_classes"]] == list(
+        CONTROL_CLASSES
+    )
+    faster = tuple(
+        replace(control, palm_speed_m_s=0.6) for control in BENCHMARK.rules["control_classes"]
+    )
     for change in (
         {"look": BENCHMARK.look + 1},
         {"rules": BENCHMARK.rules | {"control_classes": faster}},
@@ -48,7 +54,9 @@ def test_every_seed_of_all_streams_is_pinned():
 def test_specs_are_the_pinned_ones(split: str):
     """Some, of all kinds of motion; ``benchmarks/pin.py --check`` compares all."""
     seeds = pin.pinned_seeds(split)
-    found = pin.spec_digests(split, seeds[BENCHMARK.streams.index(split) :: 43 if len(seeds) == 1000 else 9])
+    found = pin.spec_digests(
+        split, seeds[BENCHMARK.streams.index(split) :: 43 if len(seeds) == 1000 else 9]
+    )
     assert found == {seed: PINNED["specs"][split][seed] for seed in found}
     assert len(found) > 22
 
@@ -56,12 +64,16 @@ def test_specs_are_the_pinned_ones(split: str):
 @pytest.mark.parametrize("split", BENCHMARK.streams)
 def test_images_are_the_pinned_ones(split: str):
     found = pin.image_digests(split)
-    assert found == {name: digest for name, digest in PINNED["images"].items() if name.startswith(f"{split}/")}
+    assert found == {
+        name: digest for name, digest in PINNED["images"].items() if name.startswith(f"{split}/")
+    }
     assert len(found) == pin.IMAGE_EPISODES
 
 
 @pytest.mark.slow
 def test_what_others_register_is_played_by_name_and_changes_no_digest(tmp_path: Path):
-    folder = tmp_path / "dataset"  # in a process of its own, as what it registers must not reach other tests
+    folder = (
+        tmp_path / "dataset"
+    )  # in a process of its own, as what it registers must not reach other tests
     python("-m", "tests.third_party.by_name", folder, cwd=ROOT, PYTHONPATH=str(ROOT / "benchmarks"))
     assert (folder / "meta" / "info.json").is_file()

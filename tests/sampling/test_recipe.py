@@ -8,7 +8,11 @@ import pytest
 
 import dynahoi_lerobot
 from dynahoi_lerobot.objects import OBJECTS
-from dynahoi_lerobot.sampling.fingerprint import deciding_sources, extension_fingerprint, hash_sources
+from dynahoi_lerobot.sampling.fingerprint import (
+    deciding_sources,
+    extension_fingerprint,
+    hash_sources,
+)
 from dynahoi_lerobot.sampling.recipe import Recipe, load_recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from tests.test_imports import ROOMS, imports
@@ -58,7 +62,9 @@ BAD_FILES: dict[str, tuple[str | bytes, str]] = {
 @pytest.mark.parametrize("values", BAD_VALUES, ids=str)
 def test_a_bad_value_is_named_in_one_sentence(values: dict):
     *_, value = values.values()
-    with pytest.raises(ValueError, match=re.escape(str(value[-1] if isinstance(value, tuple) else value))) as error:
+    with pytest.raises(
+        ValueError, match=re.escape(str(value[-1] if isinstance(value, tuple) else value))
+    ) as error:
         Recipe(**values)
     assert "\n" not in str(error.value)
 
@@ -76,8 +82,12 @@ def test_kinds_that_no_object_of_the_recipe_can_perform_are_left_out():
 
 def test_a_recipe_file_gives_the_recipe(tmp_path: Path):
     path = tmp_path / "recipe.yaml"
-    path.write_text("split: val\nmotions: [lateral, ramp]\nimage_size: 64\nperturbed_share: 25e-2\n")
-    assert load_recipe(path) == Recipe(split="val", motions=("lateral", "ramp"), image_size=64, perturbed_share=0.25)
+    path.write_text(
+        "split: val\nmotions: [lateral, ramp]\nimage_size: 64\nperturbed_share: 25e-2\n"
+    )
+    assert load_recipe(path) == Recipe(
+        split="val", motions=("lateral", "ramp"), image_size=64, perturbed_share=0.25
+    )
     path.write_text("# everything as usual\n")
     assert load_recipe(path) == Recipe()
 
@@ -114,10 +124,16 @@ def edit(path: Path) -> None:
     path.write_text(path.read_text() + "\n# edited\n")
 
 
-def test_an_edit_in_a_deciding_room_changes_the_fingerprint_and_one_elsewhere_does_not(tmp_path: Path):
-    copy = shutil.copytree(PACKAGE, tmp_path / "package", ignore=shutil.ignore_patterns("__pycache__"))
+def test_an_edit_in_a_deciding_room_changes_the_fingerprint_and_one_elsewhere_does_not(
+    tmp_path: Path,
+):
+    copy = shutil.copytree(
+        PACKAGE, tmp_path / "package", ignore=shutil.ignore_patterns("__pycache__")
+    )
     before = hash_sources(PACKAGE)
-    for place in (copy / room for room in (*READING, "generate/executors.py", "hub.py", "doctor.py")):
+    for place in (
+        copy / room for room in (*READING, "generate/executors.py", "hub.py", "doctor.py")
+    ):
         for path in place.rglob("*.py") if place.is_dir() else [place]:
             edit(path)
         assert hash_sources(copy) == before, place
@@ -133,8 +149,12 @@ def test_deciding_sources_import_only_deciding_sources():
     files = [path.relative_to(PACKAGE.parent).with_suffix("") for path in deciding_sources(PACKAGE)]
     deciding = {".".join(path.parts).removesuffix(".__init__") for path in files}
     assert len(deciding) > 80
-    strangers = {pair for pair in imports() if pair[0] in deciding and pair[1].startswith("dynahoi_lerobot.")}
-    assert not {pair for pair in strangers if pair[1] not in deciding | {"dynahoi_lerobot.generate"}}
+    strangers = {
+        pair for pair in imports() if pair[0] in deciding and pair[1].startswith("dynahoi_lerobot.")
+    }
+    assert not {
+        pair for pair in strangers if pair[1] not in deciding | {"dynahoi_lerobot.generate"}
+    }
 
 
 def test_code_of_others_counts_and_ours_is_not_counted_twice():

@@ -1,4 +1,6 @@
-"""Specs are functions of (recipe, seed); the hand waits where it can watch, near no table; timings are the paper's."""
+"""Specs are functions of (recipe, seed); the hand waits where it can watch, near no table; timings
+are the paper's.
+"""
 
 from dataclasses import replace
 
@@ -6,7 +8,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.core.conventions import CONTROL_DT, FINGER_DOF, INTERCEPT_SPEED_M_S, MIN_WINDOW_FRAMES, UNIT_M
+from dynahoi_lerobot.core.conventions import (
+    CONTROL_DT,
+    FINGER_DOF,
+    INTERCEPT_SPEED_M_S,
+    MIN_WINDOW_FRAMES,
+    UNIT_M,
+)
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.motions import MOTIONS
@@ -51,7 +59,9 @@ def test_the_intercept_is_the_earliest_the_hand_can_reach(specs: list[EpisodeSpe
         assert reachable[0] == spec.intercept_frame, f"{spec.motion.name} of seed {spec.seed}"
 
 
-def test_the_recording_holds_approach_and_grasp_and_a_window_that_shows_the_target_moving(specs: list[EpisodeSpec]):
+def test_the_recording_holds_approach_and_grasp_and_a_window_that_shows_the_target_moving(
+    specs: list[EpisodeSpec],
+):
     for spec in specs:
         assert spec.window_frames == max(MIN_WINDOW_FRAMES, int(np.ceil(0.2 * spec.length_frames)))
         assert spec.intercept_frame + 6 <= spec.length_frames
@@ -61,7 +71,9 @@ def test_the_recording_holds_approach_and_grasp_and_a_window_that_shows_the_targ
 
 
 def test_the_hand_waits_in_front_of_a_target_it_can_watch(specs: list[EpisodeSpec]):
-    """In the half view of the compiled camera, in front of the palm, not behind the hand, and clear of it."""
+    """In the half view of the compiled camera, in front of the palm, not behind the hand, and clear
+    of it.
+    """
     model = compile_scene().model
     camera = model.camera("ego").id
     axes = np.zeros(9)
@@ -78,19 +90,27 @@ def test_the_hand_waits_in_front_of_a_target_it_can_watch(specs: list[EpisodeSpe
 
 
 @pytest.mark.parametrize(
-    "change", [{"image_size": 64}, *({"hand": name} for name in HANDS.names() if name != REFERENCE_HAND)], ids=str
+    "change",
+    [{"image_size": 64}, *({"hand": name} for name in HANDS.names() if name != REFERENCE_HAND)],
+    ids=str,
 )
-def test_every_hand_plays_the_same_episodes_from_the_same_homes_however_they_are_shown(change: dict, specs):
+def test_every_hand_plays_the_same_episodes_from_the_same_homes_however_they_are_shown(
+    change: dict, specs
+):
     for other, spec in zip(sample_specs(replace(SMALL, **change), range(22)), specs, strict=False):
         own = ("hand", "open_joints", "reference_joints", "fingerprint")
         assert_same(replace(other, **{name: getattr(spec, name) for name in own}), spec)
         assert other.hand == change.get("hand", spec.hand)
         assert other.reference_joints.shape == other.open_joints.shape == (FINGER_DOF,)
-        assert np.array_equal(other.reference_joints, spec.reference_joints) == ("hand" not in change)
+        assert np.array_equal(other.reference_joints, spec.reference_joints) == (
+            "hand" not in change
+        )
 
 
 def test_the_hand_hides_what_is_behind_it():
-    points = np.array([[0.1, 0.0, 0.05], [0.03, 0.05, -0.17], [1.0, 0.0, 0.0], [-0.5, 0.0, 0.0], [0.2, 0.9, 0.0]])
+    points = np.array(
+        [[0.1, 0.0, 0.05], [0.03, 0.05, -0.17], [1.0, 0.0, 0.0], [-0.5, 0.0, 0.0], [0.2, 0.9, 0.0]]
+    )
     np.testing.assert_array_equal(visible(points), [True, False, True, False, False])
 
 
@@ -104,13 +124,16 @@ def test_without_a_window_control_starts_at_once():
 def test_instructions_name_the_motion_only_where_they_may(style: str):
     specs = sample_specs(Recipe(motions=("constant", "lateral"), instructions=style), range(20))
     reveals = [spec.motion.phrase in spec.task for spec in specs]
-    assert {"reveal": all(reveals), "neutral": not any(reveals), "mixed": 0 < sum(reveals) < 20}[style]
+    assert {"reveal": all(reveals), "neutral": not any(reveals), "mixed": 0 < sum(reveals) < 20}[
+        style
+    ]
     assert all(spec.target.name in spec.task for spec in specs)
 
 
 DURATION_BINS, DURATION_PERCENT = (20, 40, 60, 80, 120, np.inf), (20.2, 36.1, 19.5, 13.9, 10.1)
 TRAVEL_BINS_U, TRAVEL_PERCENT = (0, 0.5, 2, 4, np.inf), (20.1, 47.7, 16.4, 5.8)
-"""The paper's travels leave 10 % unassigned, which we spread: each bin is 2 to 3 points higher by design."""
+"""The paper's travels leave 10 % unassigned, which we spread: each bin is 2 to 3 points higher by
+design."""
 
 
 def test_ten_thousand_timings_are_within_three_points_of_the_papers():
@@ -140,5 +163,7 @@ def test_homes_beside_a_table():
     table = Box((0.0, 0.0, 1.0), (0.5, 0.5, 0.02))
     intercept = np.array([0.0, 0.0, 1.04])
     homes = np.array([[-0.2, 0.0, 1.3], [-0.2, 0.0, 0.7], [-0.7, 0.0, 0.95], [-0.2, 0.0, 1.06]])
-    np.testing.assert_array_equal(keeps_clear(homes, intercept, [table]), [True, False, False, False])
+    np.testing.assert_array_equal(
+        keeps_clear(homes, intercept, [table]), [True, False, False, False]
+    )
     assert keeps_clear(homes, intercept, []).all()

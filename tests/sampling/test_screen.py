@@ -1,4 +1,6 @@
-"""Protocol ``occluded``: a screen hides the target for a while before it can be met, and stands in nobody's way."""
+"""Protocol ``occluded``: a screen hides the target for a while before it can be met, and stands in
+nobody's way.
+"""
 
 from dataclasses import replace
 from itertools import groupby
@@ -28,7 +30,9 @@ def occluded(once) -> list[EpisodeSpec]:
 
 
 @pytest.mark.parametrize("actor", ["intercept", "hold"])
-def test_no_pixel_of_the_target_shows_for_6_to_12_frames_before_it_can_be_met(occluded: list[EpisodeSpec], actor: str):
+def test_no_pixel_of_the_target_shows_for_6_to_12_frames_before_it_can_be_met(
+    occluded: list[EpisodeSpec], actor: str
+):
     without = [replace(spec, appearance=replace(spec.appearance, screen=None)) for spec in occluded]
     shown, bare = (target_pixels(specs, actor) for specs in (occluded, without))
     for i, spec in enumerate(occluded):
@@ -47,7 +51,9 @@ def target_pixels(specs: list[EpisodeSpec], actor: str) -> np.ndarray:
     batch, expert = world(specs, image_size=96), EXPERTS[actor]()
     counts = []
     for _ in range(max(map(earliest_meeting, specs))):
-        counts.append(np.isin(batch.cameras.segmentation(), batch.scene.target_geoms).sum(axis=(1, 2)))
+        counts.append(
+            np.isin(batch.cameras.segmentation(), batch.scene.target_geoms).sum(axis=(1, 2))
+        )
         batch.step(expert.act(batch.world_state(batch.observe(images=False))))
     return np.array(counts)
 
@@ -57,7 +63,9 @@ def run_lengths(flags: np.ndarray) -> list[int]:
     return [sum(1 for _ in run) for held, run in groupby(flags) if held] or [0]
 
 
-def test_episodes_are_those_of_observe_before_act_or_else_no_screen_can_stand_in_these(specs, occluded):
+def test_episodes_are_those_of_observe_before_act_or_else_no_screen_can_stand_in_these(
+    specs, occluded
+):
     kept = 0
     for plain, spec in zip(specs[:22], occluded, strict=True):
         assert plain.appearance.screen is None
@@ -76,12 +84,18 @@ def test_the_screen_is_clear_of_palm_target_fixtures_and_floor(occluded: list[Ep
         panel = Box(screen.pos_w, (screen.half_size[0], screen.half_size[1], screen.half_size[2]))
         way = spec.home_pos_w + share * (spec.intercept_pos_w - spec.home_pos_w)
         assert box_distance(way, panel).min() > 0.025, spec.motion.name
-        assert box_distance(spec.target_path_w, panel).min() > spec.target.grasp_radius_m, spec.motion.name
+        assert box_distance(spec.target_path_w, panel).min() > spec.target.grasp_radius_m, (
+            spec.motion.name
+        )
         assert screen.pos_w[2] > screen.half_size[2]
-        assert all(apart(panel, box, 0.0) for box in spec.motion.launch(spec.target).boxes), spec.motion.name
+        assert all(apart(panel, box, 0.0) for box in spec.motion.launch(spec.target).boxes), (
+            spec.motion.name
+        )
 
 
-def test_the_screen_is_drawn_and_only_under_this_protocol(specs: list[EpisodeSpec], occluded: list[EpisodeSpec]):
+def test_the_screen_is_drawn_and_only_under_this_protocol(
+    specs: list[EpisodeSpec], occluded: list[EpisodeSpec]
+):
     for some, drawn in ((specs[:22], False), (occluded, True)):
         batch = world(some, image_size=96)
         labels = batch.cameras.segmentation()

@@ -1,4 +1,6 @@
-"""Splits are disjoint seed streams, what is held out is never in training; salts, and twins at another speed."""
+"""Splits are disjoint seed streams, what is held out is never in training; salts, and twins at
+another speed.
+"""
 
 import json
 import pickle
@@ -59,7 +61,9 @@ def test_only_its_own_split_contains_what_is_held_out(split: str):
     if split in IN_DISTRIBUTION:
         assert recipe.motion_names == list(KINDS)
     if split != "train":
-        assert len(split_seeds(split)) >= 10 * len(recipe.motion_names), "an evaluation has enough of every kind"
+        assert len(split_seeds(split)) >= 10 * len(recipe.motion_names), (
+            "an evaluation has enough of every kind"
+        )
 
 
 SALT, OTHER = "correct horse battery staple", "correct horse battery stable"
@@ -73,17 +77,35 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         for name, salt in (("public", ""), ("salted", SALT), ("other", OTHER)):
             words = ["--salt", salt] if salt else []
             patch.setattr("sys.argv", ["dynahoi", "evaluate", *words])
-            assert main(["evaluate", "--policy", "hold", "--episodes", "3", "--out", str(root / name), *words]) == 0
+            assert (
+                main(
+                    [
+                        "evaluate",
+                        "--policy",
+                        "hold",
+                        "--episodes",
+                        "3",
+                        "--out",
+                        str(root / name),
+                        *words,
+                    ]
+                )
+                == 0
+            )
     shutil.copytree(root / "salted", root / "again")
     return {folder.name: folder for folder in root.iterdir()}
 
 
 def test_another_salt_is_another_episode_and_the_same_salt_the_same():
-    public, salted, other = (sample_spec(replace(SMALL, salt=salt), 3) for salt in ("", SALT, OTHER))
+    public, salted, other = (
+        sample_spec(replace(SMALL, salt=salt), 3) for salt in ("", SALT, OTHER)
+    )
     assert public.motion.name == salted.motion.name == other.motion.name, "kinds still take turns"
     homes = np.stack([spec.home_pos_w for spec in (public, salted, other)])
     assert len(np.unique(homes, axis=0)) == 3
-    np.testing.assert_array_equal(sample_spec(replace(SMALL, salt=SALT), 3).target_path_w, salted.target_path_w)
+    np.testing.assert_array_equal(
+        sample_spec(replace(SMALL, salt=SALT), 3).target_path_w, salted.target_path_w
+    )
     assert public.split == "test"
     assert salted.split == f"test+{seal(SALT).removeprefix('sha256:')[:8]}"
     assert len({public.split, salted.split, other.split}) == 3
@@ -92,7 +114,9 @@ def test_another_salt_is_another_episode_and_the_same_salt_the_same():
 def test_no_file_of_a_result_or_a_dataset_holds_the_salt(runs: dict[str, Path], tmp_path: Path):
     root = generated(tmp_path / "dataset", "--image-size", "0", "--salt", SALT)
     assert main(["verify", str(root)]) == 0
-    files = [path for folder in (root, *runs.values()) for path in folder.rglob("*") if path.is_file()]
+    files = [
+        path for folder in (root, *runs.values()) for path in folder.rglob("*") if path.is_file()
+    ]
     assert not [path for path in files if SALT.encode() in path.read_bytes()]
     head = json.loads((runs["salted"] / "metrics.json").read_text())
     assert "(hidden)" in head["command"]
@@ -128,13 +152,18 @@ def test_the_environment_plays_the_salted_stream_and_so_do_its_copies():
     for one in (env, pickle.loads(pickle.dumps(env))):
         one.reset(seed=[5])
         spec = one._batch.specs[0]
-        np.testing.assert_array_equal(spec.home_pos_w, sample_spec(Recipe(split="test", salt=SALT), 5).home_pos_w)
+        np.testing.assert_array_equal(
+            spec.home_pos_w, sample_spec(Recipe(split="test", salt=SALT), 5).home_pos_w
+        )
 
 
 @pytest.mark.parametrize(
     ("words", "kept"),
     [
-        (["evaluate", "--salt", SALT, "--gifs", "1"], ["evaluate", "--salt", "(hidden)", "--gifs", "1"]),
+        (
+            ["evaluate", "--salt", SALT, "--gifs", "1"],
+            ["evaluate", "--salt", "(hidden)", "--gifs", "1"],
+        ),
         ([f"--salt={SALT}", "--gifs=1"], ["--salt=(hidden)", "--gifs=1"]),
         (["--env.salt", SALT], ["--env.salt", "(hidden)"]),
         ([f"--env.salt={SALT}"], ["--env.salt=(hidden)"]),
@@ -152,35 +181,52 @@ DIFFERENT = {"motion", "target_path_w", "fingerprint"}
 @pytest.fixture(scope="module")
 def pairs() -> list[tuple[EpisodeSpec, EpisodeSpec]]:
     """Every kind twice, at both speeds."""
-    return list(zip(*(sample_specs(recipe, range(2 * N_KINDS)) for recipe in (SLOW, FAST)), strict=True))
+    return list(
+        zip(*(sample_specs(recipe, range(2 * N_KINDS)) for recipe in (SLOW, FAST)), strict=True)
+    )
 
 
 def test_every_kind_whose_path_is_prescribed_has_twins():
-    prescribed = {name for name in BENCHMARK.splits["train"].motions if issubclass(MOTIONS[name], PrescribedMotion)}
+    prescribed = {
+        name
+        for name in BENCHMARK.splits["train"].motions
+        if issubclass(MOTIONS[name], PrescribedMotion)
+    }
     assert set(SLOW.motion_names) == prescribed
     assert BENCHMARK.splits["twins"].size % N_KINDS == 0
 
 
-def test_nothing_but_the_speed_differs_on_a_path_that_leads_to_the_intercept_in_the_same_frame(pairs):
+def test_nothing_but_the_speed_differs_on_a_path_that_leads_to_the_intercept_in_the_same_frame(
+    pairs,
+):
     for slow, fast in pairs:
         for field in fields(EpisodeSpec):
             if field.name not in DIFFERENT:
-                np.testing.assert_equal(getattr(slow, field.name), getattr(fast, field.name), field.name)
+                np.testing.assert_equal(
+                    getattr(slow, field.name), getattr(fast, field.name), field.name
+                )
         assert (slow.motion.name, slow.motion.phrase) == (fast.motion.name, fast.motion.phrase)
         later_s = np.linspace(-0.3, 0.3, 7)
         meeting_s = slow.intercept_frame * CONTROL_DT
         np.testing.assert_allclose(
-            fast.motion.position(meeting_s + later_s), slow.motion.position(meeting_s + 1.6 * later_s), atol=1e-9
+            fast.motion.position(meeting_s + later_s),
+            slow.motion.position(meeting_s + 1.6 * later_s),
+            atol=1e-9,
         )
         for spec in (slow, fast):
-            assert np.linalg.norm(spec.target_path_w[spec.intercept_frame] - slow.intercept_pos_w) < 1e-9
+            assert (
+                np.linalg.norm(spec.target_path_w[spec.intercept_frame] - slow.intercept_pos_w)
+                < 1e-9
+            )
 
 
 def test_both_can_be_watched_and_met_alike(pairs: list[tuple[EpisodeSpec, EpisodeSpec]]):
     for spec in (spec for pair in pairs for spec in pair):
         seen = visible(spec.target_path_w[: spec.window_frames + 1] - spec.home_pos_w)
         assert seen.mean() >= 0.9
-    episodes = list(evaluate(WorldBatch(FAST, 12), EXPERTS["intercept"](), [fast for _, fast in pairs]))
+    episodes = list(
+        evaluate(WorldBatch(FAST, 12), EXPERTS["intercept"](), [fast for _, fast in pairs])
+    )
     assert np.mean([episode.success for episode in episodes]) > 0.9
     assert {episode.meta.split for episode in episodes} == {"twins"}
 

@@ -1,4 +1,5 @@
-"""Play the motion and the object of a third party by their names: env, recording and dataset command.
+"""Play the motion and the object of a third party by their names: env, recording and dataset
+command.
 
 Episodes of the benchmark stay as they are pinned.
 
@@ -25,18 +26,31 @@ OPTIONS = ["--motions", "a_drift", "--objects", "caltrop"]
 def main(folder: Path) -> None:
     before = compile_scene()
     importlib.import_module("tests.third_party.things")
-    assert compile_scene().target_geoms.size > before.target_geoms.size, "slots are added after the first compilation"
+    assert compile_scene().target_geoms.size > before.target_geoms.size, (
+        "slots are added after the first compilation"
+    )
     for split in ("train", "test", "ood_speed"):
         recipe = Recipe(split=split, motions=("a_drift",), objects=("caltrop",), image_size=32)
         (episode,) = record(recipe, [0])
-        assert (episode.meta.motion, episode.meta.object, episode.success) == ("a_drift", "caltrop", True)
-    (contact,) = record(Recipe(capture="contact", objects=("caltrop",), motions=("constant",), image_size=32), [0])
+        assert (episode.meta.motion, episode.meta.object, episode.success) == (
+            "a_drift",
+            "caltrop",
+            True,
+        )
+    (contact,) = record(
+        Recipe(capture="contact", objects=("caltrop",), motions=("constant",), image_size=32), [0]
+    )
     assert contact.target_contacts.any(), "its solids are touched"
     register_envs()
     env = gym.make("dynahoi/a_drift-v0", image_size=32)
     observation, _ = env.reset(seed=0)
     assert np.ptp(observation["pixels"]["ego"]) > 0
-    assert dynahoi(["generate", "--root", str(folder), "--episodes", "1", "--image-size", "32", *OPTIONS]) == 0
+    assert (
+        dynahoi(
+            ["generate", "--root", str(folder), "--episodes", "1", "--image-size", "32", *OPTIONS]
+        )
+        == 0
+    )
     assert pin.differences(pin.pin(seeds=2, with_images=1), pin.read()) == []
 
 

@@ -1,4 +1,6 @@
-"""A motion and an object of somebody else: its name sorts before all of the core's, it has more primitives than any."""
+"""A motion and an object of somebody else: its name sorts before all of the core's, it has more
+primitives than any.
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar, Self
@@ -32,7 +34,9 @@ class Drift(PrescribedMotion):
         return cls(draw.meeting_point(), draw.intercept_s, draw.uniform(0.05, 0.2) * draw.sign())
 
     def position(self, time_s: np.ndarray) -> np.ndarray:
-        return np.asarray(self.center) + np.outer(time_s - self.center_s, [0.0, self.speed_m_s, 0.0])
+        return np.asarray(self.center) + np.outer(
+            time_s - self.center_s, [0.0, self.speed_m_s, 0.0]
+        )
 
 
 SPIKES = 10
@@ -46,7 +50,11 @@ def caltrop(rng: np.random.Generator) -> ObjectGeometry:
     size = rng.uniform(0.005, 0.006)
     angles = [2 * np.pi * number / SPIKES for number in range(SPIKES)]
     spikes = [
-        Primitive(shape, (size,) * n, (0.02 * float(np.cos(angle)), 0.02 * float(np.sin(angle)), 0.01 * (level - 2)))
+        Primitive(
+            shape,
+            (size,) * n,
+            (0.02 * float(np.cos(angle)), 0.02 * float(np.sin(angle)), 0.01 * (level - 2)),
+        )
         for level, (shape, n) in enumerate(SIZES.items())
         for angle in angles
     ]

@@ -1,4 +1,6 @@
-"""Datasets that LeRobot's own tools edited: a sentence says what is gone, and the rest is checked as LeRobot's."""
+"""Datasets that LeRobot's own tools edited: a sentence says what is gone, and the rest is checked
+as LeRobot's.
+"""
 
 import shutil
 from pathlib import Path
@@ -27,13 +29,23 @@ def in_place(edit):
 
 EDITS = {
     "delete": lambda source, out: delete_episodes(open_dataset(source), [1], out, "local/edited"),
-    "merge": lambda source, out: merge_datasets([open_dataset(source), open_dataset(source)], "local/edited", out),
-    "remove a feature": lambda source, out: remove_feature(open_dataset(source), "next.success", out, "local/edited"),
+    "merge": lambda source, out: merge_datasets(
+        [open_dataset(source), open_dataset(source)], "local/edited", out
+    ),
+    "remove a feature": lambda source, out: remove_feature(
+        open_dataset(source), "next.success", out, "local/edited"
+    ),
     "tasks": in_place(lambda dataset: modify_tasks(dataset, new_task="Catch it.")),
-    "re-encode": in_place(lambda dataset: reencode_dataset(dataset, RGBEncoderConfig(vcodec="h264", crf=30))),
+    "re-encode": in_place(
+        lambda dataset: reencode_dataset(dataset, RGBEncoderConfig(vcodec="h264", crf=30))
+    ),
     "statistics": in_place(recompute_stats),
 }
-CHANGED = {"tasks": "meta/tasks.parquet", "re-encode": "videos/", "statistics": "meta/stats.json has changed"}
+CHANGED = {
+    "tasks": "meta/tasks.parquet",
+    "re-encode": "videos/",
+    "statistics": "meta/stats.json has changed",
+}
 """What is named after an edit in place; others leave no manifest."""
 
 

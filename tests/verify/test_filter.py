@@ -58,7 +58,9 @@ def test_all_others_are_copied_and_lerobot_reads_them(with_outlier, tmp_path, ca
     opened = open_dataset(tmp_path / "new")
     assert opened.meta.episodes["seed"] == kept
     first_of_eighth = sum(20 + seed % 7 for seed in kept[:7])
-    np.testing.assert_array_equal(opened[first_of_eighth + 3]["action"], varied_episode(8).action[3])
+    np.testing.assert_array_equal(
+        opened[first_of_eighth + 3]["action"], varied_episode(8).action[3]
+    )
     image = np.moveaxis(opened[first_of_eighth + 3]["observation.images.ego"].numpy() * 255, 0, -1)
     assert np.abs(image - varied_episode(8, 16).images["ego"][3]).mean() < 6
     assert [f for f in verify(tmp_path / "new") if f.check != "verdicts"] == []
@@ -84,17 +86,37 @@ SURPLUS = {f"more {number}": pa.nulls(300_000, pa.bool_()) for number in range(4
 @pytest.mark.parametrize(
     ("path", "change", "sentence"),
     [
-        (ROWS, lambda n: {"tasks": pa.array([0.5] * n)}, "column tasks of type double; it must be list<"),
-        (ROWS, lambda n: {"stats/captured": pa.array([{"a": [None]}] * n)}, "stats/captured of type struct<"),
+        (
+            ROWS,
+            lambda n: {"tasks": pa.array([0.5] * n)},
+            "column tasks of type double; it must be list<",
+        ),
+        (
+            ROWS,
+            lambda n: {"stats/captured": pa.array([{"a": [None]}] * n)},
+            "stats/captured of type struct<",
+        ),
         (ROWS, lambda n: {"benchmark": pa.nulls(n)}, "benchmark must be of type str, got None"),
         (
             ROWS,
             lambda n: {"tasks": pa.array([[]] * n, pa.list_(pa.string()))},
             "tasks must be of type tuple[str], got []",
         ),
-        (ROWS, lambda n: {name: pa.nulls(300_000) for name in ("length", "seed")} | SURPLUS, "at most"),
-        (DATA, lambda n: {"action": pa.array([[0.0] * (17 + i % 2 * 2) for i in range(n)])}, "its column action is of"),
-        (DATA, lambda n: {"next.done": pa.array([True] * (n - 1) + [None])}, "its column next.done is of type bool"),
+        (
+            ROWS,
+            lambda n: {name: pa.nulls(300_000) for name in ("length", "seed")} | SURPLUS,
+            "at most",
+        ),
+        (
+            DATA,
+            lambda n: {"action": pa.array([[0.0] * (17 + i % 2 * 2) for i in range(n)])},
+            "its column action is of",
+        ),
+        (
+            DATA,
+            lambda n: {"next.done": pa.array([True] * (n - 1) + [None])},
+            "its column next.done is of type bool",
+        ),
     ],
 )
 def test_columns_of_other_types_are_named(path, change, sentence, tmp_path, capsys):
@@ -102,7 +124,10 @@ def test_columns_of_other_types_are_named(path, change, sentence, tmp_path, caps
     held = pq.read_table(root / path)
     columns = {name: held[name] for name in held.schema.names} | change(len(held))
     longest = max(map(len, columns.values()))
-    columns = {name: values if len(values) == longest else pa.nulls(longest) for name, values in columns.items()}
+    columns = {
+        name: values if len(values) == longest else pa.nulls(longest)
+        for name, values in columns.items()
+    }
     pq.write_table(pa.table(columns), root / path)
     assert run(root, "--out", tmp_path / "new", "--drop", "0") == 2
     assert sentence in capsys.readouterr().err

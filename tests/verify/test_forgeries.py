@@ -1,4 +1,6 @@
-"""Whatever is forged below ``meta/`` and signed anew, with episodes as they were, is found, without a replay."""
+"""Whatever is forged below ``meta/`` and signed anew, with episodes as they were, is found, without
+a replay.
+"""
 
 import dataclasses
 import shutil
@@ -18,7 +20,11 @@ from dynahoi_lerobot.verify.command import verify
 from tests.dataset.episodes import changed, rewrite, sign
 from tests.tools import edit_json, generated
 
-DATA, ROWS, TASKS = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet", "meta/tasks.parquet"
+DATA, ROWS, TASKS = (
+    "data/chunk-000/file-000.parquet",
+    "meta/episodes/chunk-000/file-000.parquet",
+    "meta/tasks.parquet",
+)
 INFO, STATS, MANIFEST = "meta/info.json", "meta/stats.json", "meta/manifest.json"
 EGO, SIDE, FLAT = (f"observation.images.{view}" for view in ("ego", "side", "ego_segmentation"))
 VIDEO = f"videos/{EGO}/chunk-000/file-000.mp4"
@@ -28,12 +34,23 @@ Forgery = Callable[[Path], object]
 
 @pytest.fixture(scope="module")
 def genuine(tmp_path_factory) -> Path:
-    words = ("--motions", "constant,lob", "--views", "side,ego_segmentation", "--video-seconds", "5")
-    return generated(tmp_path_factory.mktemp("genuine") / "d", "--image-size", "32", *words, episodes=4)
+    words = (
+        "--motions",
+        "constant,lob",
+        "--views",
+        "side,ego_segmentation",
+        "--video-seconds",
+        "5",
+    )
+    return generated(
+        tmp_path_factory.mktemp("genuine") / "d", "--image-size", "32", *words, episodes=4
+    )
 
 
 def told(path: str, *keys: str | int, value: object) -> Forgery:
-    """Forge a value of a JSON file: what ``keys`` lead to becomes ``value``, or what it makes of it."""
+    """Forge a value of a JSON file: what ``keys`` lead to becomes ``value``, or what it makes of
+    it.
+    """
 
     def change(content) -> None:
         for key in keys[:-1]:
@@ -69,7 +86,9 @@ def other_instructions(root: Path) -> None:
     exchange = {one: other, other: one}
     column(TASKS, "task", lambda texts: [exchange.get(text, text) for text in texts])(root)
     column(ROWS, "task", lambda texts: [exchange.get(text, text) for text in texts])(root)
-    column(ROWS, "tasks", lambda rows: [[exchange.get(text, text) for text in texts] for texts in rows])(root)
+    column(
+        ROWS, "tasks", lambda rows: [[exchange.get(text, text) for text in texts] for texts in rows]
+    )(root)
 
 
 def templates(root: Path) -> None:
@@ -130,20 +149,32 @@ def rewritten(change: Callable[[Episode], Episode]) -> Forgery:
 
 
 def container(
-    change: Callable[[list], list] = list, *, rate: int = 1, further: bool = False, matrix: Sequence[int] = ()
+    change: Callable[[list], list] = list,
+    *,
+    rate: int = 1,
+    further: bool = False,
+    matrix: Sequence[int] = (),
 ) -> Forgery:
-    """Put what ``change`` makes of a video's packets into another file: at another pace, beside a stream, or turned."""
+    """Put what ``change`` makes of a video's packets into another file: at another pace, beside a
+    stream, or turned.
+    """
 
     def apply(root: Path) -> None:
         path, made = root / VIDEO, root / "again.mp4"
         with av.open(str(path)) as source, av.open(str(made), "w") as target:
-            streams = [target.add_stream_from_template(source.streams.video[0]) for _ in range(1 + further)]
+            streams = [
+                target.add_stream_from_template(source.streams.video[0]) for _ in range(1 + further)
+            ]
             packets = [packet for packet in source.demux(video=0) if packet.size]
             places = [packet.pts * rate for packet in packets]
             for packet, place in zip(change(packets), places, strict=False):
                 for stream in streams:
                     copy = av.Packet(bytes(packet))
-                    copy.stream, copy.time_base, copy.is_keyframe = stream, packet.time_base, packet.is_keyframe
+                    copy.stream, copy.time_base, copy.is_keyframe = (
+                        stream,
+                        packet.time_base,
+                        packet.is_keyframe,
+                    )
                     copy.pts = copy.dts = place
                     target.mux(copy)
         content = made.read_bytes()
@@ -159,34 +190,60 @@ def container(
 META: dict[str, Forgery] = {
     "instructions exchanged": column(TASKS, "task", swapped),
     "instructions exchanged everywhere": other_instructions,
-    "an instruction that nobody was told": column(ROWS, "task", lambda texts: ["Wave.", *texts[1:]]),
-    "instructions of frames exchanged": column(DATA, "task_index", lambda numbers: [1 - min(n, 1) for n in numbers]),
+    "an instruction that nobody was told": column(
+        ROWS, "task", lambda texts: ["Wave.", *texts[1:]]
+    ),
+    "instructions of frames exchanged": column(
+        DATA, "task_index", lambda numbers: [1 - min(n, 1) for n in numbers]
+    ),
     "another index of instructions": table(TASKS, lambda found: found.replace_schema_metadata({})),
     "another video": column(ROWS, f"videos/{EGO}/file_index", lambda files: files[::-1]),
     "another data file": column(ROWS, "data/file_index", lambda files: [1] * len(files)),
-    "times in the video shifted": column(ROWS, f"videos/{EGO}/from_timestamp", lambda times: [t + 0.05 for t in times]),
+    "times in the video shifted": column(
+        ROWS, f"videos/{EGO}/from_timestamp", lambda times: [t + 0.05 for t in times]
+    ),
     "times of frames shifted": column(DATA, "timestamp", lambda times: [t + 0.05 for t in times]),
     "indices of frames": column(DATA, "index", lambda numbers: [n + 1 for n in numbers]),
-    "lengths": column(ROWS, "length", lambda lengths: [lengths[0] - 1, lengths[1] + 1, *lengths[2:]]),
+    "lengths": column(
+        ROWS, "length", lambda lengths: [lengths[0] - 1, lengths[1] + 1, *lengths[2:]]
+    ),
     "rows exchanged": table(ROWS, lambda found: found.take([1, 0, 2, 3])),
-    "another file of the episode table": column(ROWS, "meta/episodes/file_index", lambda files: [3] * len(files)),
-    "another column of the episode table": table(ROWS, lambda found: found.append_column("note", pa.array(["x"] * 4))),
+    "another file of the episode table": column(
+        ROWS, "meta/episodes/file_index", lambda files: [3] * len(files)
+    ),
+    "another column of the episode table": table(
+        ROWS, lambda found: found.append_column("note", pa.array(["x"] * 4))
+    ),
     "templates": templates,
-    "statistics: mean": told(STATS, "action", "mean", value=lambda mean: [mean[0] + 0.1, *mean[1:]]),
+    "statistics: mean": told(
+        STATS, "action", "mean", value=lambda mean: [mean[0] + 0.1, *mean[1:]]
+    ),
     "statistics: count": told(STATS, "action", "count", value=[7]),
     "statistics: images": told(STATS, EGO, "mean", value=[[[0.1]], [[0.2]], [[0.3]]]),
-    "statistics: one is gone": lambda root: edit_json(root / STATS, lambda stats: stats.pop("action")),
-    "statistics of an episode": column(ROWS, "stats/action/std", lambda rows: [*rows[:3], scaled(rows[3])]),
-    "quantiles of flat colours": column(ROWS, f"stats/{FLAT}/q50", lambda rows: [*rows[:3], scaled(rows[3])]),
-    "images' statistics of an episode": column(ROWS, f"stats/{EGO}/std", lambda rows: [*rows[:3], scaled(rows[3])]),
+    "statistics: one is gone": lambda root: edit_json(
+        root / STATS, lambda stats: stats.pop("action")
+    ),
+    "statistics of an episode": column(
+        ROWS, "stats/action/std", lambda rows: [*rows[:3], scaled(rows[3])]
+    ),
+    "quantiles of flat colours": column(
+        ROWS, f"stats/{FLAT}/q50", lambda rows: [*rows[:3], scaled(rows[3])]
+    ),
+    "images' statistics of an episode": column(
+        ROWS, f"stats/{EGO}/std", lambda rows: [*rows[:3], scaled(rows[3])]
+    ),
     "number of episodes": told(INFO, "total_episodes", value=3),
     "files in a chunk": told(INFO, "chunks_size", value=1),
     "frame rate": told(INFO, "fps", value=30),
     "splits": told(INFO, "splits", value={"train": "0:2", "test": "2:4"}),
     "version": told(INFO, "codebase_version", value="v2.1"),
-    "an unknown field": lambda root: edit_json(root / INFO, lambda info: info.update(tools=[{"name": "x"}])),
+    "an unknown field": lambda root: edit_json(
+        root / INFO, lambda info: info.update(tools=[{"name": "x"}])
+    ),
     "names of a feature": told(INFO, "features", "action", "names", value=swapped),
-    "a feature less": lambda root: edit_json(root / INFO, lambda info: info["features"].pop("next.success")),
+    "a feature less": lambda root: edit_json(
+        root / INFO, lambda info: info["features"].pop("next.success")
+    ),
     "codec": told(INFO, "features", EGO, "info", "video.crf", value=40),
     "notes for readers of the frames": note_for_readers,
     "rows that no episode has": further_rows,

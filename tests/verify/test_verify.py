@@ -1,4 +1,6 @@
-"""``dynahoi verify`` refutes each of its three claims where it does not hold, also where a forger signed anew."""
+"""``dynahoi verify`` refutes each of its three claims where it does not hold, also where a forger
+signed anew.
+"""
 
 import dataclasses
 import json
@@ -67,7 +69,9 @@ def promise_outside(root: Path) -> None:
     """Let the manifest vouch for a file that is not below its dataset."""
     (outside := root.parent / "outside.txt").write_text("not of the dataset")
     manifest = Manifest.read(root)
-    dataclasses.replace(manifest, files=manifest.files | {"../outside.txt": sha256(outside)}).write(root)
+    dataclasses.replace(manifest, files=manifest.files | {"../outside.txt": sha256(outside)}).write(
+        root
+    )
 
 
 FILES: dict[str, Callable[[Path], object]] = {
@@ -92,7 +96,9 @@ def test_another_card_is_no_finding_but_noted(copy):
     (copy / "README.md").write_text("cut")
     notes: list[str] = []
     assert verify(copy, note=notes.append) == []
-    assert notes == ["README.md is not the one that was written with the dataset, so it was not checked"]
+    assert notes == [
+        "README.md is not the one that was written with the dataset, so it was not checked"
+    ]
 
 
 def test_a_folder_that_lerobot_opens_with_its_neighbours_is_found(copy):
@@ -100,7 +106,9 @@ def test_a_folder_that_lerobot_opens_with_its_neighbours_is_found(copy):
 
 
 def meta(**values: object) -> Callable[[Episode], Episode]:
-    return lambda episode: dataclasses.replace(episode, meta=dataclasses.replace(episode.meta, **values))
+    return lambda episode: dataclasses.replace(
+        episode, meta=dataclasses.replace(episode.meta, **values)
+    )
 
 
 VERDICTS: dict[str, Callable[[Episode], Episode]] = {
@@ -123,7 +131,11 @@ VERDICTS: dict[str, Callable[[Episode], Episode]] = {
 def test_verdicts_that_do_not_follow_are_found(sound):
     first, *_ = read_episodes(sound, images=False)
     assert not [*verdict_problems(first, RECIPE.hand)]
-    assert not [name for name, forge in VERDICTS.items() if not [*verdict_problems(forge(first), RECIPE.hand)]]
+    assert not [
+        name
+        for name, forge in VERDICTS.items()
+        if not [*verdict_problems(forge(first), RECIPE.hand)]
+    ]
 
 
 @pytest.mark.parametrize(
@@ -135,15 +147,21 @@ def test_verdicts_that_do_not_follow_are_found(sound):
     ],
     ids=["palm", "rule", "force"],
 )
-def test_verdicts_that_do_not_follow_are_found_though_they_are_signed(variant, forge, request, tmp_path):
+def test_verdicts_that_do_not_follow_are_found_though_they_are_signed(
+    variant, forge, request, tmp_path
+):
     root = shutil.copytree(request.getfixturevalue(variant), tmp_path / "copy")
     first, *others = read_episodes(root)
     rewrite(root, [forge(first), *others])
     assert "verdicts" in found(root)
 
 
-@pytest.mark.parametrize("key", ["next.reward", "observation.environment_state", "language_persistent"])
-def test_derived_columns_that_do_not_follow_are_found_though_they_are_signed(key, derived, tmp_path):
+@pytest.mark.parametrize(
+    "key", ["next.reward", "observation.environment_state", "language_persistent"]
+)
+def test_derived_columns_that_do_not_follow_are_found_though_they_are_signed(
+    key, derived, tmp_path
+):
     forged = shutil.copytree(derived, tmp_path / "forged")
     column(DATA, key, lambda values: values[::-1])(forged)
     sign(forged)
@@ -165,12 +183,16 @@ def white_square(images: np.ndarray) -> np.ndarray:
 def trigger(images: np.ndarray) -> np.ndarray:
     """Change 12 x 12 px of an image by 40 levels up or down, to and fro."""
     marked = images.astype(int)
-    marked[5, 3:15, 17:29] += np.where(np.indices((12, 12)).sum(axis=0) // 2 % 2, 40, -40)[..., None]
+    marked[5, 3:15, 17:29] += np.where(np.indices((12, 12)).sum(axis=0) // 2 % 2, 40, -40)[
+        ..., None
+    ]
     return np.clip(marked, 0, 255).astype(np.uint8)
 
 
 def with_images(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Episode], Episode]:
-    return lambda episode: dataclasses.replace(episode, images={"ego": change(episode.images["ego"])})
+    return lambda episode: dataclasses.replace(
+        episode, images={"ego": change(episode.images["ego"])}
+    )
 
 
 REPLAYS: dict[str, Callable[[Episode], Episode]] = {
@@ -180,21 +202,29 @@ REPLAYS: dict[str, Callable[[Episode], Episode]] = {
         lambda images: images[[*range(8), 12, *range(9, 12), 8, *range(13, len(images))]]
     ),
     "another command": changed("action", (12, 0), lambda x: x + 0.01),
-    "another mass": lambda episode: dataclasses.replace(episode, object_mass=episode.object_mass * 1.01),
+    "another mass": lambda episode: dataclasses.replace(
+        episode, object_mass=episode.object_mass * 1.01
+    ),
     "another seed": meta(seed=5),
 }
 
 
-@pytest.mark.parametrize(("name", "codec"), [*((name, "h264") for name in REPLAYS), (next(iter(REPLAYS)), "images")])
-def test_episodes_that_do_not_follow_from_their_seeds_are_found_though_they_are_signed(copy, made, name, codec):
+@pytest.mark.parametrize(
+    ("name", "codec"), [*((name, "h264") for name in REPLAYS), (next(iter(REPLAYS)), "images")]
+)
+def test_episodes_that_do_not_follow_from_their_seeds_are_found_though_they_are_signed(
+    copy, made, name, codec
+):
     rewrite(copy, [REPLAYS[name](made[0]), made[1]], Encoding(codec))
     assert "replay" in found(copy, replayed=2)
 
 
 def test_a_white_square_in_every_image_is_found_also_where_no_image_is_equal(copy, made):
-    """As where images were rendered on a GPU: other levels of a few pixels are tolerated, a square of 2 x 2 px is not.
+    """As where images were rendered on a GPU: other levels of a few pixels are tolerated, a square
+    of 2 x 2 px is not.
 
-    One level in every pixel would not be: the codec makes a mean of 2.1 levels of that at 32 px, and 2 are allowed.
+    One level in every pixel would not be: the codec makes a mean of 2.1 levels of that at 32 px,
+    and 2 are allowed.
     """
 
     def noisy(images: np.ndarray) -> np.ndarray:
@@ -204,12 +234,16 @@ def test_a_white_square_in_every_image_is_found_also_where_no_image_is_equal(cop
 
     rewrite(copy, [with_images(noisy)(episode) for episode in made])
     assert found(copy, replayed=2) == set()
-    rewrite(copy, [with_images(lambda images: white_square(noisy(images)))(episode) for episode in made])
+    rewrite(
+        copy, [with_images(lambda images: white_square(noisy(images)))(episode) for episode in made]
+    )
     assert found(copy, replayed=2) == {"replay"}
 
 
 def test_only_the_code_that_made_a_dataset_replays_it(copy):
-    edit_json(copy / "meta/manifest.json", lambda content: content["provenance"].update(code="0123"))
+    edit_json(
+        copy / "meta/manifest.json", lambda content: content["provenance"].update(code="0123")
+    )
     sign(copy)
     (finding,) = (finding for finding in verify(copy, replayed=1) if finding.check == "replay")
     assert "0123" in finding.message
@@ -222,7 +256,9 @@ def test_an_expert_that_fails_where_it_succeeded_is_found(sound, monkeypatch):
 
 def test_what_is_replayed_is_drawn_evenly_from_all_kinds_of_motion(dataset):
     store, rng = Store(dataset), np.random.default_rng(0)
-    assert len({tuple(drawn_evenly(store, 3, rng)) for _ in range(20)}) > 5, "nobody knows beforehand which"
+    assert len({tuple(drawn_evenly(store, 3, rng)) for _ in range(20)}) > 5, (
+        "nobody knows beforehand which"
+    )
     for row in store.rows[:4]:
         row["motion"] = "lob"
     assert all(sum(index >= 4 for index in drawn_evenly(store, 4, rng)) == 2 for _ in range(20))

@@ -20,7 +20,11 @@ class Exchange:
 
     def say(self, content: Any) -> None:
         """Answer with a chat completion of a text."""
-        message = {"index": 0, "message": {"role": "assistant", "content": content}, "finish_reason": "stop"}
+        message = {
+            "index": 0,
+            "message": {"role": "assistant", "content": content},
+            "finish_reason": "stop",
+        }
         usage = {"prompt_tokens": 100, "completion_tokens": 10, "total_tokens": 110}
         head = {"id": "1", "object": "chat.completion", "created": 0, "model": "tiny"}
         self.send({**head, "choices": [message], "usage": usage})
@@ -29,7 +33,11 @@ class Exchange:
         """Answer with any JSON, or with bytes."""
         data = body if isinstance(body, bytes) else json.dumps(body).encode()
         self.http.send_response(status)
-        for name, value in {"Content-Type": "application/json", "Content-Length": str(len(data)), **headers}.items():
+        for name, value in {
+            "Content-Type": "application/json",
+            "Content-Length": str(len(data)),
+            **headers,
+        }.items():
             self.http.send_header(name, value)
         self.http.end_headers()
         self.http.wfile.write(data)

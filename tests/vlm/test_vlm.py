@@ -31,7 +31,9 @@ def _key(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OPENAI_API_KEY", KEY)
 
 
-def answer(motion: list | None = None, durations: tuple[int, ...] = (4, 6), skill: str = "APPROACH") -> str:
+def answer(
+    motion: list | None = None, durations: tuple[int, ...] = (4, 6), skill: str = "APPROACH"
+) -> str:
     """Return a valid answer, or one that differs as told."""
     rows = [STATE.tolist()] * HORIZON if motion is None else motion
     frames = [{"frame_index": i + 1, "hand_params": row} for i, row in enumerate(rows)]
@@ -39,7 +41,7 @@ def answer(motion: list | None = None, durations: tuple[int, ...] = (4, 6), skil
     return json.dumps({"action_sequence": program, "predicted_motion": frames})
 
 
-# -- reading answers -----------------------------------------------------------------------------------------------
+# -- reading answers -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("wrap", ["{}", "```json\n{}\n```", "```\n{}```", "  {}\n"])
@@ -86,14 +88,21 @@ def test_the_request_holds_what_the_paper_says():
     system, user = messages("extended", 0.5, "Catch the ball.", STATE, IMAGE)
     assert system["role"] == "system"
     text, picture = user["content"]
-    for word in ("Catch the ball.", "1.7", "action_sequence", "predicted_motion", f"sum to {HORIZON}", *SKILLS):
+    for word in (
+        "Catch the ball.",
+        "1.7",
+        "action_sequence",
+        "predicted_motion",
+        f"sum to {HORIZON}",
+        *SKILLS,
+    ):
         assert word in text["text"]
     data = base64.b64decode(picture["image_url"]["url"].removeprefix("data:image/jpeg;base64,"))
     assert np.abs(np.asarray(Image.open(io.BytesIO(data))).astype(int) - 200).max() <= 2
     assert Answer.model_json_schema()["properties"]["predicted_motion"]["minItems"] == HORIZON
 
 
-# -- the client ----------------------------------------------------------------------------------------------------
+# -- the client ------------------------------------------------------------------------------------
 
 
 def test_worlds_are_decided_side_by_side():
@@ -103,7 +112,9 @@ def test_worlds_are_decided_side_by_side():
 
     with serving(handler) as (url, _):
         client, start = VlmClient("tiny", url), time.monotonic()
-        assert all(commands is not None and took >= 0.5 for commands, took in client.plan([SEEN] * 4))
+        assert all(
+            commands is not None and took >= 0.5 for commands, took in client.plan([SEEN] * 4)
+        )
         assert time.monotonic() - start < 1.5
 
 
@@ -123,7 +134,9 @@ def test_a_server_without_structured_output_is_asked_without():
 
 def test_a_busy_server_is_asked_again_after_the_pause_it_asks_for():
     def handler(exchange: Exchange) -> None:
-        exchange.say(answer()) if exchange.number else exchange.send({}, 429, **{"Retry-After": "1"})
+        exchange.say(answer()) if exchange.number else exchange.send(
+            {}, 429, **{"Retry-After": "1"}
+        )
 
     with serving(handler) as (url, _):
         client, start = VlmClient("tiny", url), time.monotonic()
@@ -133,9 +146,15 @@ def test_a_busy_server_is_asked_again_after_the_pause_it_asks_for():
 
 FAILURES: dict[str, tuple[Handler, str]] = {
     "silence": (lambda e: time.sleep(2.0), "TimeoutError"),
-    "a pause beyond the deadline": (lambda e: e.send({}, 429, **{"Retry-After": "30"}), "TimeoutError"),
+    "a pause beyond the deadline": (
+        lambda e: e.send({}, 429, **{"Retry-After": "30"}),
+        "TimeoutError",
+    ),
     "nothing": (lambda e: None, "APIConnectionError"),
-    "a wrong key, which it repeats": (lambda e: e.send({"error": {"message": KEY}}, 401), "AuthenticationError"),
+    "a wrong key, which it repeats": (
+        lambda e: e.send({"error": {"message": KEY}}, 401),
+        "AuthenticationError",
+    ),
     "a refusal, which repeats the key": (lambda e: e.say(f"I know {KEY}"), "ReplyError"),
     "HTML": (lambda e: e.send(b"<html>"), "JSONDecodeError"),
     "a list": (lambda e: e.send([1, 2, 3]), "AttributeError"),
@@ -149,7 +168,10 @@ def test_whatever_a_server_does_costs_one_decision(name: str, tmp_path: Path):
     handler, problem = FAILURES[name]
     timeout_s = 0.5 if problem == "TimeoutError" else 20.0
     with serving(handler) as (url, _):
-        client, start = VlmClient("tiny", url, timeout_s=timeout_s, log=tmp_path / "log.jsonl"), time.monotonic()
+        client, start = (
+            VlmClient("tiny", url, timeout_s=timeout_s, log=tmp_path / "log.jsonl"),
+            time.monotonic(),
+        )
         assert client.plan([SEEN])[0][0] is None
         assert time.monotonic() - start < timeout_s + 1.0
     report = client.report()
@@ -162,7 +184,10 @@ def test_whatever_a_server_does_costs_one_decision(name: str, tmp_path: Path):
     [
         ("", None, "OPENAI_API_KEY must be set"),
         ("k", "http://user:secret@h/v1", "user name or password"),
-        *(("k", url, "must be like") for url in ("localhost:8000", "ftp://h/v1", "http://h:port/v1", "")),
+        *(
+            ("k", url, "must be like")
+            for url in ("localhost:8000", "ftp://h/v1", "http://h:port/v1", "")
+        ),
     ],
 )
 def test_a_key_or_address_that_cannot_be_is_refused_unseen(key, url, problem, monkeypatch):
@@ -172,7 +197,7 @@ def test_a_key_or_address_that_cannot_be_is_refused_unseen(key, url, problem, mo
     assert "secret" not in str(refused.value)
 
 
-# -- playing -------------------------------------------------------------------------------------------------------
+# -- playing ---------------------------------------------------------------------------------------
 
 
 class Remembered:
@@ -181,7 +206,9 @@ class Remembered:
     def __init__(self, fails: bool = False, took_s: float = 0.0) -> None:
         self.asked, self.fails, self.took_s = [], fails, took_s
 
-    def plan(self, worlds: list[tuple[str, np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray | None, float]]:
+    def plan(
+        self, worlds: list[tuple[str, np.ndarray, np.ndarray]]
+    ) -> list[tuple[np.ndarray | None, float]]:
         self.asked += [task for task, _, _ in worlds]
         way = np.arange(1, HORIZON + 1)[:, None] * np.eye(18)[2] * 0.01
         return [(None if self.fails else state + way, self.took_s) for _, state, _ in worlds]
@@ -213,7 +240,18 @@ def test_one_request_for_ten_frames_of_each_acting_world():
 
 def evaluated(url: str, *words: str) -> int:
     """Evaluate the model behind an address on episodes of one kind of motion."""
-    given = ["--policy", "vlm", "--model", "tiny", "--base-url", url, "--motions", "constant", "--image-size", "32"]
+    given = [
+        "--policy",
+        "vlm",
+        "--model",
+        "tiny",
+        "--base-url",
+        url,
+        "--motions",
+        "constant",
+        "--image-size",
+        "32",
+    ]
     return main(["evaluate", *given, *words])
 
 
@@ -228,7 +266,11 @@ def test_evaluating_a_model_from_the_command_line(tmp_path: Path, capsys: pytest
     results = read_results(tmp_path)
     assert {results.info.policy, *(row["agent"] for row in results.rows)} == {"vlm:tiny:extended"}
     account, n = results.info.extra["vlm"], len(seen)
-    assert (account["model"], account["prompt"], account["problems"]) == ("tiny", "extended", {"ReplyError": 1})
+    assert (account["model"], account["prompt"], account["problems"]) == (
+        "tiny",
+        "extended",
+        {"ReplyError": 1},
+    )
     assert (account["answers"], account["decisions"], account["failed"]) == (n, n - 1, 0)
     assert (account["prompt_tokens"], account["completion_tokens"]) == (100 * n, 10 * n)
     lines = list(map(json.loads, (tmp_path / "vlm.jsonl").read_text().splitlines()))
@@ -241,7 +283,9 @@ def test_evaluating_a_model_from_the_command_line(tmp_path: Path, capsys: pytest
     assert "failed 0" in capsys.readouterr().out
 
 
-def test_the_papers_prompt_is_sent_and_named_in_every_row(tmp_path: Path, capsys: pytest.CaptureFixture):
+def test_the_papers_prompt_is_sent_and_named_in_every_row(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+):
     words = ["--out", str(tmp_path), "--capture", "attach_lenient"]
     with serving(lambda exchange: exchange.say(answer())) as (url, seen):
         assert evaluated(url, *words, "--prompt", "paper", "--episodes", "1") == 0
@@ -251,12 +295,16 @@ def test_the_papers_prompt_is_sent_and_named_in_every_row(tmp_path: Path, capsys
         assert "another run (other policy)" in capsys.readouterr().err
         assert evaluated(url, *words, "--prompt", "short") == 2
         assert "unknown prompt 'short'; known: extended, paper" in capsys.readouterr().err
-    assert all(exchange.body["messages"][1]["content"][0]["text"].startswith("Task. ") for exchange in seen)
+    assert all(
+        exchange.body["messages"][1]["content"][0]["text"].startswith("Task. ") for exchange in seen
+    )
     (row,) = read_results(tmp_path).rows
     assert (row["agent"], row["capture"]) == ("vlm:tiny:paper", "attach_lenient")
 
 
-@pytest.mark.parametrize(("settings", "told_m"), [("--control-class=standard", 0.025), ("--capture=contact", 0.1)])
+@pytest.mark.parametrize(
+    ("settings", "told_m"), [("--control-class=standard", 0.025), ("--capture=contact", 0.1)]
+)
 def test_the_model_is_told_how_far_the_palm_may_move(settings: str, told_m: float):
     with serving(lambda exchange: exchange.say(answer())) as (url, seen):
         assert evaluated(url, settings, "--episodes", "1") == 0

@@ -17,7 +17,9 @@ SMALL = Recipe(split="test", image_size=32)
 
 
 def world(specs: Sequence[EpisodeSpec], *, threads: int = 1, **options) -> WorldBatch:
-    """A batch with one world for each spec, at the start of its episode; ``options`` are fields of the recipe."""
+    """A batch with one world for each spec, at the start of its episode; ``options`` are fields of
+    the recipe.
+    """
     batch = WorldBatch(SMALL.changed(**options), len(specs), threads)
     batch.reset(range(len(specs)), specs)
     return batch
@@ -44,7 +46,9 @@ def digest(episode: Episode) -> str:
     return sha.hexdigest()
 
 
-def digests(specs: Sequence[EpisodeSpec], size: int, threads: int = 1, *, images: bool = False) -> dict[int, str]:
+def digests(
+    specs: Sequence[EpisodeSpec], size: int, threads: int = 1, *, images: bool = False
+) -> dict[int, str]:
     """Hash of the expert's evaluation of each seed, played ``size`` worlds at a time."""
     batch = WorldBatch(SMALL, size, threads)
     episodes = evaluate(batch, EXPERTS["intercept"](), specs, images=images)

@@ -48,11 +48,15 @@ def images(short: list[EpisodeSpec]) -> dict[int, str]:
 
 
 @pytest.mark.parametrize(("step", "size", "threads"), [(1, 3, 2), (-1, 5, 1)])
-def test_states_depend_on_no_batch_size_thread_count_neighbour_or_row(every_kind, reference, step, size, threads):
+def test_states_depend_on_no_batch_size_thread_count_neighbour_or_row(
+    every_kind, reference, step, size, threads
+):
     assert digests(every_kind[::step], size, threads) == reference
 
 
-def test_pixels_depend_on_no_batch_size_and_no_neighbour(short: list[EpisodeSpec], images: dict[int, str]):
+def test_pixels_depend_on_no_batch_size_and_no_neighbour(
+    short: list[EpisodeSpec], images: dict[int, str]
+):
     assert len(set(images.values())) == len(short)
     assert digests(short[::-1], 4, 2, images=True) == images
 
@@ -74,7 +78,9 @@ def test_resetting_one_world_leaves_the_others_untouched(every_kind: list[Episod
 
 
 def test_what_struck_a_target_is_not_in_the_way_of_the_next_one(specs: list[EpisodeSpec]):
-    struck, striker = next((s, found) for s in specs if (found := s.motion.launch(s.target).striker))
+    struck, striker = next(
+        (s, found) for s in specs if (found := s.motion.launch(s.target).striker)
+    )
     above = tuple(np.add(striker.pos, (0.0, 0.0, 0.2)))
     fresh, used = (
         world([falling := replace(struck, motion=Lob(above, (0.0, 0.0, 0.0), release_s=0.0))]),
@@ -95,13 +101,19 @@ def test_a_target_at_a_fingertip_is_nearest_to_that_finger(specs: list[EpisodeSp
         assert batch.tip_distance()[0].argmin() == finger
 
 
-def test_a_fingertip_in_the_middle_of_a_ring_is_as_far_from_it_as_from_its_tube(specs: list[EpisodeSpec]):
+def test_a_fingertip_in_the_middle_of_a_ring_is_as_far_from_it_as_from_its_tube(
+    specs: list[EpisodeSpec],
+):
     """What lies there are hidden solids, which the ring does not use."""
     spec = next(spec for spec in specs if spec.target.name == "ring")
     batch = world([spec])
-    batch.place(batch.state, np.concatenate([batch.fingertips()[0, :3], [1.0, 0.0, 0.0, 0.0]])[None])
+    batch.place(
+        batch.state, np.concatenate([batch.fingertips()[0, :3], [1.0, 0.0, 0.0, 0.0]])[None]
+    )
     segment = spec.target.primitives[0]
-    assert batch.tip_distance()[0, 0] == pytest.approx(np.linalg.norm(segment.pos) - segment.size[0], abs=1e-6)
+    assert batch.tip_distance()[0, 0] == pytest.approx(
+        np.linalg.norm(segment.pos) - segment.size[0], abs=1e-6
+    )
 
 
 SHIFT_W = np.array([0.5, -0.25, 0.125])
@@ -114,7 +126,9 @@ def shifted(spec: EpisodeSpec) -> EpisodeSpec:
     assert isinstance(spec.motion, Constant)
     return replace(
         spec,
-        motion=replace(spec.motion, meeting=tuple((np.asarray(spec.motion.meeting) + SHIFT_W).tolist())),
+        motion=replace(
+            spec.motion, meeting=tuple((np.asarray(spec.motion.meeting) + SHIFT_W).tolist())
+        ),
         home_pos_w=spec.home_pos_w + SHIFT_W,
         intercept_pos_w=spec.intercept_pos_w + SHIFT_W,
         target_path_w=spec.target_path_w + SHIFT_W,
@@ -126,18 +140,24 @@ def test_an_episode_elsewhere_looks_the_same_in_numbers(specs: list[EpisodeSpec]
     one, other = world([here]), world([shifted(here)])
     rng = np.random.default_rng(3)
     while not one.localized[0] and one.frame[0] < here.window_frames + 12:
-        command = np.concatenate([rng.uniform(-0.3, 0.3, PALM_DOF), rng.uniform(0, 1, HAND_DOF - PALM_DOF)])[None]
+        command = np.concatenate(
+            [rng.uniform(-0.3, 0.3, PALM_DOF), rng.uniform(0, 1, HAND_DOF - PALM_DOF)]
+        )[None]
         for batch in (one, other):
             batch.step(command)
         for name in ("state", "given", "target_pose", "target_velocity", "palm_distance"):
-            np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=ROUNDING, err_msg=name)
+            np.testing.assert_allclose(
+                getattr(one, name), getattr(other, name), atol=ROUNDING, err_msg=name
+            )
         np.testing.assert_allclose(one.fingertips(), other.fingertips(), atol=5e-6)
     np.testing.assert_allclose(other.home_pos_w - one.home_pos_w, SHIFT_W[None], atol=1e-12)
 
 
 def test_an_episode_keeps_its_home_apart(expert_episodes: list[Episode], specs: list[EpisodeSpec]):
     for episode, spec in zip(expert_episodes, specs, strict=True):
-        np.testing.assert_array_equal(episode.home_position, spec.home_pos_w)  # exactly, in single precision
+        np.testing.assert_array_equal(
+            episode.home_position, spec.home_pos_w
+        )  # exactly, in single precision
         intercept_w = episode.intercept_position + episode.home_position
         np.testing.assert_allclose(intercept_w, spec.intercept_pos_w, atol=ROUNDING)
         assert not episode.state[0, :PALM_DOF].any()
@@ -145,18 +165,27 @@ def test_an_episode_keeps_its_home_apart(expert_episodes: list[Episode], specs: 
 
 @pytest.mark.parametrize("control_class", ["standard", "late"])
 def test_stored_actions_replay_to_the_bit(control_class: str, specs: list[EpisodeSpec]):
-    """Over whole episodes with commands beyond every limit: those of the slides lie elsewhere in each home frame."""
+    """Over whole episodes with commands beyond every limit: those of the slides lie elsewhere in
+    each home frame.
+    """
     recipe = replace(SMALL, control_class=control_class)
     for spec in specs[2:20:6]:
         rng = np.random.default_rng(spec.seed)
         commands = rng.normal(0, [1.5] * PALM_DOF + [1.0] * (HAND_DOF - PALM_DOF), (40, HAND_DOF))
-        (first,) = replay(recipe, [ActionLog(spec.seed, np.repeat(commands, 2, axis=0)[:60])], images=False)
+        (first,) = replay(
+            recipe, [ActionLog(spec.seed, np.repeat(commands, 2, axis=0)[:60])], images=False
+        )
         (again,) = replay(recipe, [ActionLog(spec.seed, first.action)], images=False)
         for name in ("state", "action", "executed_action", "fingertips", "target_pose"):
             np.testing.assert_array_equal(getattr(again, name), getattr(first, name), err_msg=name)
         latency = {"standard": 0, "late": 3}[control_class]
-        given, executed = first.given_action[: len(first) - latency], first.executed_action[latency:]
-        np.testing.assert_allclose(executed, given, atol=1e-6)  # which the speed limits have cut already
+        given, executed = (
+            first.given_action[: len(first) - latency],
+            first.executed_action[latency:],
+        )
+        np.testing.assert_allclose(
+            executed, given, atol=1e-6
+        )  # which the speed limits have cut already
         assert latency == 0 or np.abs(first.executed_action - first.given_action).max() > 0.01
 
 
@@ -186,7 +215,9 @@ def test_the_cameras_see_the_window_and_nothing_after_it(seen: list[Episode]):
             assert not blind.images[view][window:].any()
 
 
-def test_render_noise_changes_every_image_by_up_to_the_given_levels_and_nothing_else(seen: list[Episode]):
+def test_render_noise_changes_every_image_by_up_to_the_given_levels_and_nothing_else(
+    seen: list[Episode],
+):
     for clean, noisy in zip(seen, played(replace(SEEING, render_noise=2)), strict=True):
         np.testing.assert_array_equal(noisy.state, clean.state)
         for view in ("ego", "side"):
@@ -201,7 +232,8 @@ def test_render_noise_changes_every_image_by_up_to_the_given_levels_and_nothing_
 
 
 ARRIVAL_PALM_M, ARRIVAL_JOINT_RAD = 0.001, 0.015
-"""How close a joint is at the end of the frame, at 1 m/s and 10 rad/s; links pull at each other a little."""
+"""How close a joint is at the end of the frame, at 1 m/s and 10 rad/s; links pull at each other a
+little."""
 
 
 @pytest.fixture
@@ -215,7 +247,12 @@ def hands(specs: list[EpisodeSpec]) -> WorldBatch:
 def test_every_joint_arrives_at_its_command_at_the_end_of_the_frame(hands: WorldBatch):
     rng = np.random.default_rng(1)
     for _ in range(30):
-        step = np.hstack([rng.uniform(-0.05, 0.05, (4, PALM_DOF)), rng.uniform(-0.5, 0.5, (4, HAND_DOF - PALM_DOF))])
+        step = np.hstack(
+            [
+                rng.uniform(-0.05, 0.05, (4, PALM_DOF)),
+                rng.uniform(-0.5, 0.5, (4, HAND_DOF - PALM_DOF)),
+            ]
+        )
         wanted = np.clip(hands.executed + step, *hands.commands.limits())
         hands.step(wanted)
         np.testing.assert_array_equal(hands.given, wanted.astype(np.float32))
@@ -233,35 +270,51 @@ def waiting(specs: list[EpisodeSpec], **options) -> WorldBatch:
 
 
 @pytest.mark.parametrize("control_class", CONTROL_CLASSES)
-def test_palm_and_joints_keep_to_the_speed_limits_and_the_palm_to_its_direction(control_class: str, specs):
+def test_palm_and_joints_keep_to_the_speed_limits_and_the_palm_to_its_direction(
+    control_class: str, specs
+):
     hands, control = waiting(specs, control_class=control_class), CONTROL_CLASSES[control_class]
     direction = np.array([3.0, -2.0, 6.0]) / 7
     late = control.latency_frames > 0
     assert hands.acting.all() != late, "the window goes on until the first command takes effect"
     before = hands.executed.copy()
     for _ in range(1 + control.latency_frames):
-        hands.step(np.hstack([before[:, :PALM_DOF] + 5 * direction * [0.2, 0.2, 0.2], before[:, PALM_DOF:] + 2.0]))
+        hands.step(
+            np.hstack(
+                [before[:, :PALM_DOF] + 5 * direction * [0.2, 0.2, 0.2], before[:, PALM_DOF:] + 2.0]
+            )
+        )
     moved = hands.executed - before
     np.testing.assert_allclose(
-        moved[:, :PALM_DOF], np.tile(control.palm_speed_m_s * CONTROL_DT * direction, (4, 1)), rtol=1e-5
+        moved[:, :PALM_DOF],
+        np.tile(control.palm_speed_m_s * CONTROL_DT * direction, (4, 1)),
+        rtol=1e-5,
     )
-    np.testing.assert_allclose(moved[:, PALM_DOF:].max(axis=1), control.joint_speed_rad_s * CONTROL_DT, rtol=1e-5)
+    np.testing.assert_allclose(
+        moved[:, PALM_DOF:].max(axis=1), control.joint_speed_rad_s * CONTROL_DT, rtol=1e-5
+    )
 
 
 def test_under_contact_each_axis_of_the_gantry_has_its_limit(specs: list[EpisodeSpec]):
     hands = waiting(specs, capture="contact", hand="opposed")
     before = hands.executed.copy()
     hands.step(before + ([1.0, -1.0, 0.01] + [0.0] * 15))
-    np.testing.assert_allclose(hands.executed - before, np.tile([0.1, -0.1, 0.01] + [0.0] * 15, (4, 1)), atol=1e-6)
+    np.testing.assert_allclose(
+        hands.executed - before, np.tile([0.1, -0.1, 0.01] + [0.0] * 15, (4, 1)), atol=1e-6
+    )
 
 
-def test_commands_beyond_the_range_end_at_its_limit_in_an_action_space_that_does_not_tell_the_home(hands: WorldBatch):
+def test_commands_beyond_the_range_end_at_its_limit_in_an_action_space_that_does_not_tell_the_home(
+    hands: WorldBatch,
+):
     env = DynahoiVectorEnv(4, split="test", image_size=0)
     low, high = env.single_action_space.low, env.single_action_space.high
     np.testing.assert_array_equal(low[:PALM_DOF], -high[:PALM_DOF])
     for seed in (0, 4):
         env.reset(seed=seed)
-        np.testing.assert_array_equal((env.single_action_space.low, env.single_action_space.high), (low, high))
+        np.testing.assert_array_equal(
+            (env.single_action_space.low, env.single_action_space.high), (low, high)
+        )
     for side, limit in ((-1.0, hands.commands.low), (1.0, hands.commands.high)):
         for _ in range(120):
             hands.step(np.full((4, HAND_DOF), side * 50.0))
@@ -279,19 +332,34 @@ def test_a_bad_command_moves_nothing(specs: list[EpisodeSpec], in_window: bool):
     if not in_window:
         wait(batch)
     before = [value.copy() for value in (batch._batch.state, batch.frame, batch.executed)]
-    infinite = [np.where(np.arange(72).reshape(4, 18) == 2 * 18 + 7, bad, batch.executed) for bad in (np.nan, -np.inf)]
-    for commands in (*infinite, *map(np.zeros, ((3, HAND_DOF), (4, HAND_DOF - 1), (4, HAND_DOF, 1)))):
-        with pytest.raises(ValueError, match="world 2 must be finite" if commands.shape == (4, HAND_DOF) else "shape"):
+    infinite = [
+        np.where(np.arange(72).reshape(4, 18) == 2 * 18 + 7, bad, batch.executed)
+        for bad in (np.nan, -np.inf)
+    ]
+    for commands in (
+        *infinite,
+        *map(np.zeros, ((3, HAND_DOF), (4, HAND_DOF - 1), (4, HAND_DOF, 1))),
+    ):
+        with pytest.raises(
+            ValueError,
+            match="world 2 must be finite" if commands.shape == (4, HAND_DOF) else "shape",
+        ):
             batch.step(commands)
-        for value, held in zip((batch._batch.state, batch.frame, batch.executed), before, strict=True):
+        for value, held in zip(
+            (batch._batch.state, batch.frame, batch.executed), before, strict=True
+        ):
             np.testing.assert_array_equal(value, held)
 
 
-def test_in_the_window_which_the_phase_tells_commands_are_ignored_and_the_hand_holds_still(specs: list[EpisodeSpec]):
+def test_in_the_window_which_the_phase_tells_commands_are_ignored_and_the_hand_holds_still(
+    specs: list[EpisodeSpec],
+):
     batch, rng = world(specs[:8]), np.random.default_rng(0)
     for frame in range(12):
         in_window = np.array([frame < spec.window_frames for spec in specs[:8]])
-        np.testing.assert_array_equal(batch.observe(images=False).phase, np.column_stack([in_window, ~in_window]))
+        np.testing.assert_array_equal(
+            batch.observe(images=False).phase, np.column_stack([in_window, ~in_window])
+        )
         np.testing.assert_allclose(batch.state[in_window], 0.0, atol=1e-4)
         assert not batch.localized[in_window].any()
         batch.step(rng.normal(size=(8, HAND_DOF)))

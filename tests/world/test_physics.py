@@ -1,4 +1,6 @@
-"""The target keeps to its path: prescribed ones to the closed form, all of them to the untouched one."""
+"""The target keeps to its path: prescribed ones to the closed form, all of them to the untouched
+one.
+"""
 
 import numpy as np
 import pytest
@@ -35,11 +37,15 @@ def test_letting_go_is_continuous_in_position_and_velocity(kind: str):
     np.testing.assert_allclose(np.diff(position, axis=0), velocity[1:] * PHYSICS_DT, atol=1e-12)
 
 
-def test_a_prescribed_target_spins_steadily_and_keeps_its_velocity_in_the_world_frame(specs: list[EpisodeSpec]):
+def test_a_prescribed_target_spins_steadily_and_keeps_its_velocity_in_the_world_frame(
+    specs: list[EpisodeSpec],
+):
     spec = next(s for s in specs if s.motion.name == "lateral")
     batch = world([spec])
     for _ in range(spec.window_frames):
-        np.testing.assert_allclose(batch.target_velocity[0, 3:], [0.0, 0.0, spec.spin_rad_s], atol=1e-6)
+        np.testing.assert_allclose(
+            batch.target_velocity[0, 3:], [0.0, 0.0, spec.spin_rad_s], atol=1e-6
+        )
         batch.step(batch.executed)
     turned = spec.yaw_rad + spec.spin_rad_s * spec.window_frames * CONTROL_DT
     half = np.array([np.cos(turned / 2), np.sin(turned / 2)])
@@ -49,7 +55,9 @@ def test_a_prescribed_target_spins_steadily_and_keeps_its_velocity_in_the_world_
 
 
 def test_the_angular_velocity_is_given_in_the_world_frame(specs: list[EpisodeSpec]):
-    """A rolling target turns about the horizontal across its slope, whatever its own axes do: w = n x v / r."""
+    """A rolling target turns about the horizontal across its slope, whatever its own axes do: w = n
+    x v / r.
+    """
     spec = next(s for s in specs if s.motion.name == "ramp")
     batch = world([spec])
     _, normal = spec.motion.slope_axes()

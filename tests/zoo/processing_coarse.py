@@ -1,4 +1,6 @@
-"""A tokenizer of actions with the interface of FAST: cosine transform, rounding, one token per coefficient."""
+"""A tokenizer of actions with the interface of FAST: cosine transform, rounding, one token per
+coefficient.
+"""
 
 from typing import Any
 
@@ -25,5 +27,7 @@ class CoarseProcessor(ProcessorMixin):
 
     def __call__(self, actions: Any) -> list[list[int]]:
         coefficients = dct(np.asarray(actions), axis=1, norm="ortho")  # (B, H, A)
-        tokens = np.clip(np.round(coefficients * self.scale) - self.min_token, 0, LEVELS - 1).astype(int)
+        tokens = np.clip(
+            np.round(coefficients * self.scale) - self.min_token, 0, LEVELS - 1
+        ).astype(int)
         return [chunk.reshape(-1).tolist() for chunk in tokens]

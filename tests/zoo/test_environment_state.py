@@ -1,4 +1,6 @@
-"""What policies read of the target besides images: the simulator's truth, or where the eye sees it, on request."""
+"""What policies read of the target besides images: the simulator's truth, or where the eye sees it,
+on request.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -48,7 +50,11 @@ def by_eye(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def meaning(root: Path) -> str:
     """Return what the card of a dataset says about the column."""
-    (row,) = [line for line in (root / "README.md").read_text().splitlines() if line.startswith(f"| `{KEY}` |")]
+    (row,) = [
+        line
+        for line in (root / "README.md").read_text().splitlines()
+        if line.startswith(f"| `{KEY}` |")
+    ]
     return row
 
 
@@ -78,7 +84,17 @@ def test_an_environment_shows_it_on_request() -> None:
 
 
 def test_a_policy_that_reads_it_is_evaluated_on_request_and_marked(checkpoint, tmp_path, capsys):
-    words = ["evaluate", "--policy", checkpoint, "--motions", "constant", "--episodes", "1", "--out", f"{tmp_path}/r"]
+    words = [
+        "evaluate",
+        "--policy",
+        checkpoint,
+        "--motions",
+        "constant",
+        "--episodes",
+        "1",
+        "--out",
+        f"{tmp_path}/r",
+    ]
     assert main(words) != 0
     assert "add --environment-state truth to let it" in capsys.readouterr().err
     assert main([*words, "--environment-state", "truth"]) == 0
@@ -89,18 +105,23 @@ def test_a_policy_that_reads_it_is_evaluated_on_request_and_marked(checkpoint, t
     assert len(results.rows) == 1
     assert unique_labels([results])[0].endswith("(privileged)")
     assert results.privileged
-    assert main(["generate", "--actor", checkpoint, "--episodes", "1", "--root", str(tmp_path / "d")]) == 2
+    assert (
+        main(["generate", "--actor", checkpoint, "--episodes", "1", "--root", str(tmp_path / "d")])
+        == 2
+    )
     assert f"reads {KEY}; an actor sees images and the hand alone" in capsys.readouterr().err
     assert not (tmp_path / "d").exists()
 
 
-def test_lerobot_evaluates_it(checkpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lerobot_evaluates_it(
+    checkpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     options = ("--env.environment_state=truth", "--eval.n_episodes=1", "--eval.batch_size=1")
     results = through_lerobot(Path(checkpoint), tmp_path, monkeypatch, *options)
     assert (len(results.rows), results.privileged) == (1, True)
 
 
-# -- what the eye sees ------------------------------------------------------------------------------------------------
+# -- what the eye sees -----------------------------------------------------------------------------
 
 
 def test_a_dataset_holds_where_the_eye_saw_the_target(by_eye: Path) -> None:
@@ -118,7 +139,9 @@ def test_a_dataset_holds_where_the_eye_saw_the_target(by_eye: Path) -> None:
         assert across < along, "one image tells directions better than distances"
         for at, age in enumerate((2, 4, 8), start=1):
             np.testing.assert_array_equal(seen[age:, 3 * at : 3 * at + 3], seen[:-age, :3])
-            np.testing.assert_array_equal(seen[:age, 3 * at : 3 * at + 3], np.tile(seen[0, :3], (age, 1)))
+            np.testing.assert_array_equal(
+                seen[:age, 3 * at : 3 * at + 3], np.tile(seen[0, :3], (age, 1))
+            )
 
 
 def test_an_environment_shows_where_the_eye_sees_it() -> None:
@@ -126,9 +149,13 @@ def test_an_environment_shows_where_the_eye_sees_it() -> None:
     env = gym.make("dynahoi/constant-v0", environment_state="eye", image_size=96)
     observation, _ = env.reset(seed=0)
     assert env.observation_space.contains(observation)
-    np.testing.assert_array_equal(observation["environment_state"], env.unwrapped._vector._batch.observe().sighting[0])
+    np.testing.assert_array_equal(
+        observation["environment_state"], env.unwrapped._vector._batch.observe().sighting[0]
+    )
     moved, *_ = env.step(env.action_space.sample())
-    np.testing.assert_array_equal(moved["environment_state"][3:6], observation["environment_state"][:3])
+    np.testing.assert_array_equal(
+        moved["environment_state"][3:6], observation["environment_state"][:3]
+    )
     assert not np.array_equal(moved["environment_state"][:3], observation["environment_state"][:3])
 
 
@@ -145,15 +172,23 @@ def test_what_is_seen_in_a_world_depends_on_no_other_and_not_on_what_is_shown() 
     assert not together.observe(images=False).images
     assert not alone.observe().images
     np.testing.assert_array_equal(first[1], alone.observe().sighting[0])
-    np.testing.assert_array_equal(together.observe().sighting, first, "a frame may be observed twice")
+    np.testing.assert_array_equal(
+        together.observe().sighting, first, "a frame may be observed twice"
+    )
 
 
-def test_a_policy_that_reads_it_is_not_privileged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_policy_that_reads_it_is_not_privileged(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     reader = small_act(tmp_path / "act", 14)
     words = ["evaluate", "--policy", reader, "--motions", "constant", "--episodes", "1"]
     assert main([*words, "--out", str(tmp_path / "r")]) == 0
     assert "--environment-state eye" in capsys.readouterr().out
     results = read_results(tmp_path / "r")
-    assert (results.recipe().environment_state, results.recipe().image_size, results.privileged) == ("eye", 96, False)
+    assert (
+        results.recipe().environment_state,
+        results.recipe().image_size,
+        results.privileged,
+    ) == ("eye", 96, False)
     assert main([*words, "--environment-state", "truth"]) == 2
     assert f"but {reader} needs --environment-state eye" in capsys.readouterr().err

@@ -1,4 +1,6 @@
-"""Warp, started without its notice of a missing CUDA driver, and device copies of a batch's per-world fields."""
+"""Warp, started without its notice of a missing CUDA driver, and device copies of a batch's
+per-world fields.
+"""
 
 import os
 import sys
@@ -16,7 +18,9 @@ NO_CUDA = b"Could not find or load the NVIDIA CUDA driver"
 
 @contextmanager
 def _without_line(holding: bytes) -> Iterator[None]:
-    """Drop lines with ``holding`` from what native code writes to standard error meanwhile, and pass on all others."""
+    """Drop lines with ``holding`` from what native code writes to standard error meanwhile, and
+    pass on all others.
+    """
     sys.stderr.flush()
     with tempfile.TemporaryFile() as held:
         stderr = os.dup(2)
@@ -36,7 +40,9 @@ with _without_line(NO_CUDA):
 
 
 class Mirror:
-    """Device arrays that are refreshed from arrays of the batch; only the rows of the worlds copied last are in use."""
+    """Device arrays that are refreshed from arrays of the batch; only the rows of the worlds copied
+    last are in use.
+    """
 
     def __init__(self, sources: dict[str, np.ndarray], arrays: dict[str, wp.array]) -> None:
         """Pair each device array with the source of the same name.
@@ -59,9 +65,15 @@ class Mirror:
                 wp.copy(array[:n_worlds], staging[:n_worlds])  # type: ignore[arg-type] - slices of arrays are arrays
 
 
-def world_fields(batch: Batch, model_fields: Iterable[str], data_fields: Iterable[str]) -> dict[str, np.ndarray]:
-    """Return (N, ...) views of the batch's per-world model fields and of its data fields, by name."""
-    return {name: batch.expand(name) for name in model_fields} | {name: batch.bind(name) for name in data_fields}
+def world_fields(
+    batch: Batch, model_fields: Iterable[str], data_fields: Iterable[str]
+) -> dict[str, np.ndarray]:
+    """Return (N, ...) views of the batch's per-world model fields and of its data fields, by
+    name.
+    """
+    return {name: batch.expand(name) for name in model_fields} | {
+        name: batch.bind(name) for name in data_fields
+    }
 
 
 def default_device() -> str:

@@ -1,27 +1,55 @@
-"""The colour of a row of visible points: textures, sunlight with soft shadows, and light from all around."""
+"""The colour of a row of visible points: textures, sunlight with soft shadows, and light from all
+around.
+"""
 
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
 import warp as wp
 
-from dynahoi_lerobot.renderers.raycast.rows import Look, meet_shape, sunlight_row, surface_row, trace_row
+from dynahoi_lerobot.renderers.raycast.rows import (
+    Look,
+    meet_shape,
+    sunlight_row,
+    surface_row,
+    trace_row,
+)
 from dynahoi_lerobot.renderers.raycast.textures import Textures
-from dynahoi_lerobot.renderers.raycast.tiling import FAR, TILE, CameraIntrinsics, Indices, Row, Worlds, ray_of, slope
+from dynahoi_lerobot.renderers.raycast.tiling import (
+    FAR,
+    TILE,
+    CameraIntrinsics,
+    Indices,
+    Row,
+    Worlds,
+    ray_of,
+    slope,
+)
 
 SOLID = wp.constant(1.0)
 """Alpha of an opaque shape."""
 CORNER_DARKNESS = wp.constant(0.4)
 CORNER_M = wp.constant(0.12)
-"""Share of the light from all around that corners of the room take away, and the distance at which it is half that."""
+"""Share of the light from all around that corners of the room take away, and the distance at which
+it is half that."""
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "max_unroll": 1})
 
 
 @wp.func
 def color_row(
-    worlds: Worlds, look: Look, textures: Textures, w: int, tile: int, depths: Row, visible: Indices, xs: Row, ys: Row
+    worlds: Worlds,
+    look: Look,
+    textures: Textures,
+    w: int,
+    tile: int,
+    depths: Row,
+    visible: Indices,
+    xs: Row,
+    ys: Row,
 ) -> tuple[Row, Row, Row]:
-    """Return red, green and blue of the visible points; behind a translucent shape the nearest opaque one is seen."""
+    """Return red, green and blue of the visible points; behind a translucent shape the nearest
+    opaque one is seen.
+    """
     red, green, blue = _surface_row(worlds, look, textures, w, tile, depths, visible, xs, ys)
     transparency = Row(0.0)
     most_transparent = float(0.0)  # noqa: UP018 - warp's way to say that it varies
@@ -44,7 +72,15 @@ def color_row(
 
 @wp.func
 def _surface_row(
-    worlds: Worlds, look: Look, textures: Textures, w: int, tile: int, depths: Row, visible: Indices, xs: Row, ys: Row
+    worlds: Worlds,
+    look: Look,
+    textures: Textures,
+    w: int,
+    tile: int,
+    depths: Row,
+    visible: Indices,
+    xs: Row,
+    ys: Row,
 ) -> tuple[Row, Row, Row]:
     """Red, green and blue, 0 to 1, of the surfaces at the points of a row."""
     red, green, blue = Row(0.0), Row(0.0), Row(0.0)
@@ -60,7 +96,9 @@ def _surface_row(
         for i in range(TILE):
             middle = wp.max(middle, wp.where(visible[i] == s, i, -1))
         if middle >= 0:
-            cosine, filled, highlight, brightness = surface_row(worlds, look, textures, w, s, middle, depths, xs, ys)
+            cosine, filled, highlight, brightness = surface_row(
+                worlds, look, textures, w, s, middle, depths, xs, ys
+            )
             rgb, shine = worlds.shapes[w, s].color_rgb, specular * worlds.shapes[w, s].specularity
             for i in range(TILE):
                 direct = wp.max(cosine[i] + sun_wrap, 0.0) / (1.0 + sun_wrap) * sun[i]
@@ -74,8 +112,12 @@ def _surface_row(
 
 
 @wp.func
-def _openness_row(worlds: Worlds, look: Look, w: int, depths: Row, visible: Indices, xs: Row, ys: Row) -> Row:
-    """Share of the light from all around that reaches each point: less near the floor, on the floor near walls."""
+def _openness_row(
+    worlds: Worlds, look: Look, w: int, depths: Row, visible: Indices, xs: Row, ys: Row
+) -> Row:
+    """Share of the light from all around that reaches each point: less near the floor, on the floor
+    near walls.
+    """
     row = Row()
     floor, half, number = worlds.shapes[w, look.floor], look.room_half_m, look.floor
     for i in range(TILE):
@@ -90,22 +132,33 @@ def _openness_row(worlds: Worlds, look: Look, w: int, depths: Row, visible: Indi
 def trace(first_row: int, intrinsics: CameraIntrinsics, worlds: Worlds):
     """Write index (-1 for none) and depth [m] of the shapes that one pixel row of one tile shows.
 
-    Launched over (pixel rows, tile columns); the rows of all images are numbered consecutively from ``first_row``.
+    Launched over (pixel rows, tile columns); the rows of all images are numbered consecutively from
+    ``first_row``.
     """
     row, column = wp.tid()
     w, y = (first_row + row) // intrinsics.size, (first_row + row) % intrinsics.size
     tile = _tile_of(intrinsics, y, column)
-    distance, shape = trace_row(worlds, w, tile, _xs_of(intrinsics, column), _ys_of(intrinsics, y), 0.0)
+    distance, shape = trace_row(
+        worlds, w, tile, _xs_of(intrinsics, column), _ys_of(intrinsics, y), 0.0
+    )
     worlds.visible[w, y, column] = shape
     worlds.depths[w, y, column] = distance
 
 
 @wp.kernel
-def render_color(first_row: int, intrinsics: CameraIntrinsics, look: Look, textures: Textures, worlds: Worlds):
-    """Write the colours in the middle of the pixels of one row of one tile. Launched as ``trace``, after it."""
+def render_color(
+    first_row: int, intrinsics: CameraIntrinsics, look: Look, textures: Textures, worlds: Worlds
+):
+    """Write the colours in the middle of the pixels of one row of one tile. Launched as ``trace``,
+    after it.
+    """
     row, column = wp.tid()
     w, y = (first_row + row) // intrinsics.size, (first_row + row) % intrinsics.size
-    tile, xs, ys = _tile_of(intrinsics, y, column), _xs_of(intrinsics, column), _ys_of(intrinsics, y)
+    tile, xs, ys = (
+        _tile_of(intrinsics, y, column),
+        _xs_of(intrinsics, column),
+        _ys_of(intrinsics, y),
+    )
     depths, visible = worlds.depths[w, y, column], worlds.visible[w, y, column]
     red, green, blue = color_row(worlds, look, textures, w, tile, depths, visible, xs, ys)
     packed = Indices()
@@ -156,23 +209,34 @@ GROUP = wp.constant(TILE // SAMPLES)
 """Pixels that are sampled together."""
 Members = wp.types.vector(GROUP, wp.int32)
 STEP = wp.constant(0.03)
-"""Relative difference of depth between two shapes that makes an edge; where shapes touch, there is little to smooth."""
+"""Relative difference of depth between two shapes that makes an edge; where shapes touch, there is
+little to smooth."""
 
 
 @wp.kernel
 def smooth_edges(first_row: int, intrinsics: CameraIntrinsics, worlds: Worlds):
-    """Smooth the edges in one pixel row of one tile of the images. Launched as ``trace``, after ``render_color``."""
+    """Smooth the edges in one pixel row of one tile of the images. Launched as ``trace``, after
+    ``render_color``.
+    """
     row, column = wp.tid()
     w, y = (first_row + row) // intrinsics.size, (first_row + row) % intrinsics.size
     y_above, y_below = wp.max(y - 1, 0), wp.min(y + 1, intrinsics.size - 1)
     before, behind = wp.max(column - 1, 0), wp.min(column + 1, intrinsics.tiles_across - 1)
-    here = worlds.visible[w, y, column] + Indices(0)  # a sum is a copy; what is read of an array is read at every use
-    above, below = worlds.visible[w, y_above, column] + Indices(0), worlds.visible[w, y_below, column] + Indices(0)
+    here = worlds.visible[w, y, column] + Indices(
+        0
+    )  # a sum is a copy; what is read of an array is read at every use
+    above, below = (
+        worlds.visible[w, y_above, column] + Indices(0),
+        worlds.visible[w, y_below, column] + Indices(0),
+    )
     left = worlds.visible[w, y, before][wp.where(column > 0, TILE - 1, 0)]
     right = worlds.visible[w, y, behind][wp.where(behind > column, 0, TILE - 1)]
     if _all_alike(here, above, below, left, right) == 0:
         depths = worlds.depths[w, y, column]
-        depth_left, depth_right = worlds.depths[w, y, before][TILE - 1], worlds.depths[w, y, behind][0]
+        depth_left, depth_right = (
+            worlds.depths[w, y, before][TILE - 1],
+            worlds.depths[w, y, behind][0],
+        )
         near = _sides_row(here, depths, left, depth_left, right, depth_right)
         near = _jumps_row(near, here, depths, above, worlds.depths[w, y_above, column])
         edges = _jumps_row(near, here, depths, below, worlds.depths[w, y_below, column])
@@ -194,7 +258,9 @@ def _all_alike(here: Indices, above: Indices, below: Indices, left: int, right: 
 
 
 @wp.func
-def _jumps_row(edges: Indices, here: Indices, depth: Row, other: Indices, other_depth: Row) -> Indices:
+def _jumps_row(
+    edges: Indices, here: Indices, depth: Row, other: Indices, other_depth: Row
+) -> Indices:
     """Add the pixels that show another shape at another depth than those of another row."""
     row = Indices()
     for i in range(TILE):
@@ -203,28 +269,39 @@ def _jumps_row(edges: Indices, here: Indices, depth: Row, other: Indices, other_
 
 
 @wp.func
-def _sides_row(here: Indices, depth: Row, left: int, depth_left: float, right: int, depth_right: float) -> Indices:
-    """1 for each pixel of a row that shows another shape at another depth than the pixel to its left or right."""
+def _sides_row(
+    here: Indices, depth: Row, left: int, depth_left: float, right: int, depth_right: float
+) -> Indices:
+    """1 for each pixel of a row that shows another shape at another depth than the pixel to its
+    left or right.
+    """
     row = Indices()
     for i in range(TILE):
         before, behind = wp.max(i - 1, 0), wp.min(i + 1, TILE - 1)
         row[i] = wp.max(
-            _jump(here[i], depth[i], here[before], depth[before]), _jump(here[i], depth[i], here[behind], depth[behind])
+            _jump(here[i], depth[i], here[before], depth[before]),
+            _jump(here[i], depth[i], here[behind], depth[behind]),
         )
     row[0] = wp.max(row[0], _jump(here[0], depth[0], left, depth_left))
-    row[TILE - 1] = wp.max(row[TILE - 1], _jump(here[TILE - 1], depth[TILE - 1], right, depth_right))
+    row[TILE - 1] = wp.max(
+        row[TILE - 1], _jump(here[TILE - 1], depth[TILE - 1], right, depth_right)
+    )
     return row
 
 
 @wp.func
 def _jump(shape: int, depth: float, other: int, other_depth: float) -> int:
     """1 if two pixels show shapes at different depths."""
-    return wp.where(shape != other and wp.abs(depth - other_depth) > STEP * wp.min(depth, other_depth), 1, 0)
+    return wp.where(
+        shape != other and wp.abs(depth - other_depth) > STEP * wp.min(depth, other_depth), 1, 0
+    )
 
 
 @wp.func
 def _offset(sample: int) -> wp.vec2:
-    """Where a sample lies from a pixel's middle [px]: a grid of 2 x 2, turned so that no two share row or column."""
+    """Where a sample lies from a pixel's middle [px]: a grid of 2 x 2, turned so that no two share
+    row or column.
+    """
     x = wp.where(sample < 2, 0.125, 0.375)
     y = wp.where(sample < 2, 0.375, -0.125)
     return wp.where(sample % 2 == 0, wp.vec2(x, y), wp.vec2(-x, -y))
@@ -243,7 +320,10 @@ def _smooth_row(
     column: int,
 ) -> Indices:
     """Colours of a row, in which pixels on edges are the mean of four samples."""
-    sharp, smooth = worlds.colors[w, y, column] + Indices(0), worlds.colors[w, y, column] + Indices(0)
+    sharp, smooth = (
+        worlds.colors[w, y, column] + Indices(0),
+        worlds.colors[w, y, column] + Indices(0),
+    )
     color_above = worlds.colors[w, wp.max(y - 1, 0), column] + Indices(0)
     color_below = worlds.colors[w, wp.min(y + 1, intrinsics.size - 1), column] + Indices(0)
     members, xs, ys = Members(), Row(), Row()
@@ -256,10 +336,14 @@ def _smooth_row(
                 xs[SAMPLES * found + k] = (
                     slope(intrinsics, float(column * TILE + i) + 0.5) + offset[0] / intrinsics.focal
                 )
-                ys[SAMPLES * found + k] = -slope(intrinsics, float(y) + 0.5) + offset[1] / intrinsics.focal
+                ys[SAMPLES * found + k] = (
+                    -slope(intrinsics, float(y) + 0.5) + offset[1] / intrinsics.focal
+                )
             found += 1
         if found == GROUP or (found > 0 and i == TILE - 1):
-            seen = _trace_seen(worlds, here, above, below, w, _tile_of(intrinsics, y, column), xs, ys)
+            seen = _trace_seen(
+                worlds, here, above, below, w, _tile_of(intrinsics, y, column), xs, ys
+            )
             for j in range(found):
                 at = members[j]
                 left, right = wp.max(at - 1, 0), wp.min(at + 1, TILE - 1)
@@ -280,7 +364,14 @@ def _smooth_row(
 
 @wp.func
 def _trace_seen(
-    worlds: Worlds, here: Indices, above: Indices, below: Indices, w: int, tile: int, xs: Row, ys: Row
+    worlds: Worlds,
+    here: Indices,
+    above: Indices,
+    below: Indices,
+    w: int,
+    tile: int,
+    xs: Row,
+    ys: Row,
 ) -> Indices:
     """The nearest shape along each ray, of those that the row or one beside it shows."""
     depths, nearest = Row(FAR), Indices(-1)

@@ -1,8 +1,10 @@
-"""One shape and sixteen rays from the camera: depth, lighting, texture and shadow at the points that they meet.
+"""One shape and sixteen rays from the camera: depth, lighting, texture and shadow at the points
+that they meet.
 
-The loops over the rays hold no branches and stay loops, so that compilers turn them into vector instructions; that is
-most of the speed on a CPU. Shapes are passed by number, as the processor waits for a copy that it has just stored in
-small parts and loads as a whole. Ray i has the direction ``(xs[i], ys[i], -1)`` in the camera's frame.
+The loops over the rays hold no branches and stay loops, so that compilers turn them into vector
+instructions; that is most of the speed on a CPU. Shapes are passed by number, as the processor
+waits for a copy that it has just stored in small parts and loads as a whole. Ray i has the
+direction ``(xs[i], ys[i], -1)`` in the camera's frame.
 """
 
 # ruff: noqa: PLR0917 - kernels take their arguments by position
@@ -12,7 +14,17 @@ import warp as wp
 from dynahoi_lerobot.renderers.raycast import shapes as solids
 from dynahoi_lerobot.renderers.raycast.shapes import BOX, CAPSULE, CYLINDER, ELLIPSOID, PLANE
 from dynahoi_lerobot.renderers.raycast.textures import Textures, level_of, texel
-from dynahoi_lerobot.renderers.raycast.tiling import FAR, SPREAD, TILE, Indices, Row, Shape, Worlds, may_shade, ray_of
+from dynahoi_lerobot.renderers.raycast.tiling import (
+    FAR,
+    SPREAD,
+    TILE,
+    Indices,
+    Row,
+    Shape,
+    Worlds,
+    may_shade,
+    ray_of,
+)
 from dynahoi_lerobot.scene.model import SHININESS
 
 HIGHLIGHT_EXPONENT = wp.constant(128.0 * SHININESS)
@@ -27,9 +39,11 @@ class Look:
 
     Attributes:
         soft: 1 for shadows, soft light and smooth edges; 0 for what MuJoCo's other renderers draw.
-        ambient: RGB of the light that reaches every surface, 0 to 1; what the ground reflects if ``soft``.
+        ambient: RGB of the light that reaches every surface, 0 to 1; what the ground reflects if
+            ``soft``.
         fill: RGB of the light from the camera, or from the whole sky if ``soft``.
-        fill_wrap: how far beyond a right angle that light reaches, as a cosine; ``sun_wrap``: likewise the sun's.
+        fill_wrap: how far beyond a right angle that light reaches, as a cosine; ``sun_wrap``:
+            likewise the sun's.
         pixel_rad: angle between the rays of neighbouring pixels [rad].
         floor: number of the shape that is the floor, whose frame is the world's.
         room_half_m: distance of the walls from the middle of the room [m].
@@ -64,7 +78,15 @@ def _surface(normal: wp.Function, uv: wp.Function) -> wp.Function:
 
     @wp.func
     def surface(
-        worlds: Worlds, look: Look, textures: Textures, w: int, s: int, middle: int, depths: Row, xs: Row, ys: Row
+        worlds: Worlds,
+        look: Look,
+        textures: Textures,
+        w: int,
+        s: int,
+        middle: int,
+        depths: Row,
+        xs: Row,
+        ys: Row,
     ) -> tuple[Row, Row, Row, Row]:
         diffuse, filled, highlight, brightness = Row(), Row(), Row(0.0), Row(1.0)
         shapes = worlds.shapes
@@ -86,7 +108,9 @@ def _surface(normal: wp.Function, uv: wp.Function) -> wp.Function:
             ray = ray_of(from_camera, xs[middle], ys[middle])
             n = normal(size, o + depths[middle] * ray)
             facing = wp.abs(wp.dot(n, ray)) / wp.length(ray)
-            level = level_of(textures, shapes[w, s].repeats_per_m * depths[middle] * look.pixel_rad, facing)
+            level = level_of(
+                textures, shapes[w, s].repeats_per_m * depths[middle] * look.pixel_rad, facing
+            )
             start = shapes[w, s].texture * textures.texels_each + textures.starts[level]
             side, repeat = textures.sides[level], shapes[w, s].repeat
             for i in range(TILE):
@@ -115,7 +139,9 @@ def _shading(shadow: wp.Function) -> wp.Function:
 
 
 def _of_a_row(solid: str) -> tuple[wp.Function, wp.Function]:
-    """Return the functions of a row for a type of shape: depths, and what its surface looks like."""
+    """Return the functions of a row for a type of shape: depths, and what its surface looks
+    like.
+    """
     enter, normal, uv = (getattr(solids, f"{what}_{solid}") for what in ("enter", "normal", "uv"))
     return _entering(enter), _surface(normal, uv)
 
@@ -127,13 +153,16 @@ _enter_cylinder, _surface_cylinder = _of_a_row("cylinder")
 _enter_ellipsoid, _surface_ellipsoid = _of_a_row("ellipsoid")
 _enter_box, _surface_box = _of_a_row("box")
 _shade_sphere, _shade_capsule, _shade_cylinder, _shade_ellipsoid, _shade_box = (
-    _shading(getattr(solids, f"shadow_{solid}")) for solid in ("sphere", "capsule", "cylinder", "ellipsoid", "box")
+    _shading(getattr(solids, f"shadow_{solid}"))
+    for solid in ("sphere", "capsule", "cylinder", "ellipsoid", "box")
 )
 
 
 @wp.func
 def _enter_row(shapes: wp.array2d[Shape], w: int, s: int, xs: Row, ys: Row) -> Row:
-    """The depths [m] at which a row of rays from the camera enters a shape, negative where it does not."""
+    """The depths [m] at which a row of rays from the camera enters a shape, negative where it does
+    not.
+    """
     kind = shapes[w, s].geom_type
     if kind == PLANE:
         return _enter_plane(shapes, w, s, xs, ys)
@@ -150,7 +179,15 @@ def _enter_row(shapes: wp.array2d[Shape], w: int, s: int, xs: Row, ys: Row) -> R
 
 @wp.func
 def surface_row(
-    worlds: Worlds, look: Look, textures: Textures, w: int, s: int, middle: int, depths: Row, xs: Row, ys: Row
+    worlds: Worlds,
+    look: Look,
+    textures: Textures,
+    w: int,
+    s: int,
+    middle: int,
+    depths: Row,
+    xs: Row,
+    ys: Row,
 ) -> tuple[Row, Row, Row, Row]:
     """Return what the points of a row on a shape look like.
 
@@ -160,8 +197,8 @@ def surface_row(
         depths: of the points [m]; ``xs``, ``ys``: slopes of their rays.
 
     Returns:
-        Cosines between normal and sunlight and between normal and the other light, highlights (Blinn, 1977), and the
-        brightness of the texture, 0 to 1.
+        Cosines between normal and sunlight and between normal and the other light, highlights
+        (Blinn, 1977), and the brightness of the texture, 0 to 1.
     """
     kind = worlds.shapes[w, s].geom_type
     if kind == PLANE:
@@ -184,8 +221,12 @@ MISSED = wp.constant(1.0e30)
 
 
 @wp.func
-def trace_row(worlds: Worlds, w: int, tile: int, xs: Row, ys: Row, least_alpha: float) -> tuple[Row, Indices]:
-    """Return depth [m] and index of the nearest shape (-1 for none) whose alpha is at least ``least_alpha``."""
+def trace_row(
+    worlds: Worlds, w: int, tile: int, xs: Row, ys: Row, least_alpha: float
+) -> tuple[Row, Indices]:
+    """Return depth [m] and index of the nearest shape (-1 for none) whose alpha is at least
+    ``least_alpha``.
+    """
     depths = Row(FAR)
     visible = Indices(-1)
     for k in range(worlds.counts[w, tile]):
@@ -226,12 +267,18 @@ def _shade_row(shapes: wp.array2d[Shape], w: int, s: int, depths: Row, xs: Row, 
 
 
 @wp.func
-def sunlight_row(worlds: Worlds, w: int, tile: int, depths: Row, visible: Indices, xs: Row, ys: Row) -> Row:
-    """Return the share of the light, 0 to 1, that reaches the points of a row; no shape shades itself."""
+def sunlight_row(
+    worlds: Worlds, w: int, tile: int, depths: Row, visible: Indices, xs: Row, ys: Row
+) -> Row:
+    """Return the share of the light, 0 to 1, that reaches the points of a row; no shape shades
+    itself.
+    """
     row = Row(1.0)
     if worlds.caster_counts[w, tile] == 0:
         return row
-    low, high = _row_bounds(worlds.light_camera[w], worlds.light_from_camera[w], depths, visible, xs, ys)
+    low, high = _row_bounds(
+        worlds.light_camera[w], worlds.light_from_camera[w], depths, visible, xs, ys
+    )
     for k in range(worlds.caster_counts[w, tile]):
         s = worlds.casters[w, tile, k]
         if may_shade(worlds.shapes[w, s].low, worlds.shapes[w, s].high, low, high):
@@ -247,10 +294,14 @@ def sunlight_row(worlds: Worlds, w: int, tile: int, depths: Row, visible: Indice
 def _row_bounds(
     camera: wp.vec3, from_camera: wp.mat33, depths: Row, visible: Indices, xs: Row, ys: Row
 ) -> tuple[wp.vec3, wp.vec3]:
-    """Lower and upper corner [m], light frame, of a box around the points of a row, whose rays lie in a plane."""
+    """Lower and upper corner [m], light frame, of a box around the points of a row, whose rays lie
+    in a plane.
+    """
     least, most = Indices(), Indices()
     for i in range(TILE):
-        least[i] = wp.cast(depths[i], wp.int32)  # bits of floats that are not negative are in the order of the floats
+        least[i] = wp.cast(
+            depths[i], wp.int32
+        )  # bits of floats that are not negative are in the order of the floats
         most[i] = wp.where(visible[i] >= 0, least[i], 0)
     near, far = wp.cast(wp.min(least), wp.float32), wp.cast(wp.max(most), wp.float32)
     first, last = ray_of(from_camera, xs[0], ys[0]), ray_of(from_camera, xs[TILE - 1], ys[TILE - 1])

@@ -1,11 +1,13 @@
-"""Ray intersection, normal, texture coordinates and soft shadow of MuJoCo's primitive geoms, in the geom's own frame.
+"""Ray intersection, normal, texture coordinates and soft shadow of MuJoCo's primitive geoms, in the
+geom's own frame.
 
-Rays are ``o + t * d`` with the origin ``o`` [m] and a direction ``d`` of any length; ``size`` holds MuJoCo's half-sizes
-[m]. Only the point where a ray enters a shape counts, so a camera inside one does not see it; a negative t means that
-the ray does not enter. Nothing here branches on the ray, so that a compiler can vectorise over rays.
+Rays are ``o + t * d`` with the origin ``o`` [m] and a direction ``d`` of any length; ``size`` holds
+MuJoCo's half-sizes [m]. Only the point where a ray enters a shape counts, so a camera inside one
+does not see it; a negative t means that the ray does not enter. Nothing here branches on the ray,
+so that a compiler can vectorise over rays.
 
-The light is directional and seen as a small disc. How much of it a shape takes follows from how far outside the shape's
-outline, as the light sees it, the ray to the light passes.
+The light is directional and seen as a small disc. How much of it a shape takes follows from how far
+outside the shape's outline, as the light sees it, the ray to the light passes.
 """
 
 import mujoco
@@ -24,7 +26,8 @@ MISS = wp.constant(-1.0)
 TINY = wp.constant(1.0e-15)
 THIN = wp.constant(1.0e-6)
 FLAT = wp.constant(1.0e-4)
-"""Least size [m] of a shadow's round end, and least sine between a ray and the sides it may pass."""
+"""Least size [m] of a shadow's round end, and least sine between a ray and the sides it may
+pass."""
 BESIDE_ALL = wp.constant(1.0e3)
 
 wp.set_module_options({"enable_backward": False})
@@ -52,9 +55,14 @@ def enter_ellipsoid(size: wp.vec3, o: wp.vec3, d: wp.vec3) -> float:
 
 @wp.func
 def enter_capsule(size: wp.vec3, o: wp.vec3, d: wp.vec3) -> float:
-    """Return t where a ray enters a capsule: where it meets the infinite cylinder beyond an end, only that
-    end's sphere can be entered."""
-    a, b, c = d[0] * d[0] + d[1] * d[1], o[0] * d[0] + o[1] * d[1], o[0] * o[0] + o[1] * o[1] - size[0] * size[0]
+    """Return t where a ray enters a capsule: where it meets the infinite cylinder beyond an end,
+    only that end's sphere can be entered.
+    """
+    a, b, c = (
+        d[0] * d[0] + d[1] * d[1],
+        o[0] * d[0] + o[1] * d[1],
+        o[0] * o[0] + o[1] * o[1] - size[0] * size[0],
+    )
     inside = b * b - a * c
     t = (-b - wp.sqrt(wp.max(inside, 0.0))) / wp.max(a, TINY)
     z = o[2] + t * d[2]
@@ -77,9 +85,17 @@ def enter_cylinder(size: wp.vec3, o: wp.vec3, d: wp.vec3) -> float:
 @wp.func
 def enter_box(size: wp.vec3, o: wp.vec3, d: wp.vec3) -> float:
     """Return t where a ray enters a box: inside all three slabs."""
-    x, y, z = slab_exit(o[0], d[0], -size[0]), slab_exit(o[1], d[1], -size[1]), slab_exit(o[2], d[2], -size[2])
+    x, y, z = (
+        slab_exit(o[0], d[0], -size[0]),
+        slab_exit(o[1], d[1], -size[1]),
+        slab_exit(o[2], d[2], -size[2]),
+    )
     t = wp.max(x, wp.max(y, z))
-    x, y, z = slab_exit(o[0], d[0], size[0]), slab_exit(o[1], d[1], size[1]), slab_exit(o[2], d[2], size[2])
+    x, y, z = (
+        slab_exit(o[0], d[0], size[0]),
+        slab_exit(o[1], d[1], size[1]),
+        slab_exit(o[2], d[2], size[2]),
+    )
     return wp.where(t > wp.min(x, wp.min(y, z)), MISS, t)
 
 
@@ -92,7 +108,9 @@ def _first_root(a: float, b: float, c: float) -> float:
 
 @wp.func
 def slab_exit(o: float, d: float, half: float) -> float:
-    """Return t where a ray leaves the slab of this half thickness; where it enters, for a negative one."""
+    """Return t where a ray leaves the slab of this half thickness; where it enters, for a negative
+    one.
+    """
     along = wp.where(wp.abs(d) < TINY, TINY, d)
     return half / wp.abs(along) - o / along
 
@@ -128,7 +146,11 @@ def normal_cylinder(size: wp.vec3, p: wp.vec3) -> wp.vec3:
     """Return the outward unit normal at a point of a cylinder."""
     side = 1.0 / wp.max(wp.sqrt(p[0] * p[0] + p[1] * p[1]), TINY)
     cap = _on_cap(size, p)
-    return wp.vec3(wp.where(cap, 0.0, p[0] * side), wp.where(cap, 0.0, p[1] * side), wp.where(cap, wp.sign(p[2]), 0.0))
+    return wp.vec3(
+        wp.where(cap, 0.0, p[0] * side),
+        wp.where(cap, 0.0, p[1] * side),
+        wp.where(cap, wp.sign(p[2]), 0.0),
+    )
 
 
 @wp.func
@@ -178,13 +200,17 @@ def uv_sphere(size: wp.vec3, p: wp.vec3) -> wp.vec2:
 
 @wp.func
 def uv_ellipsoid(size: wp.vec3, p: wp.vec3) -> wp.vec2:
-    """Return the texture coordinates of a point of an ellipsoid: those of the sphere it is scaled from."""
+    """Return the texture coordinates of a point of an ellipsoid: those of the sphere it is scaled
+    from.
+    """
     return uv_sphere(size, wp.cw_div(p, size))
 
 
 @wp.func
 def uv_capsule(size: wp.vec3, p: wp.vec3) -> wp.vec2:
-    """Return the texture coordinates of a point of a capsule; its ends repeat the texture of its side."""
+    """Return the texture coordinates of a point of a capsule; its ends repeat the texture of its
+    side.
+    """
     beyond = wp.clamp((wp.abs(p[2]) - size[1]) / size[0], 0.0, 1.0)
     bend = wp.asin(beyond) * (2.0 / wp.pi)
     end = wp.where(p[2] > 0.0, 1.0 - bend, bend)
@@ -208,10 +234,12 @@ def _azimuth(p: wp.vec3) -> float:
 
 @wp.func
 def shadow_sphere(size: wp.vec3, spread: float, o: wp.vec3, d: wp.vec3) -> float:
-    """Return the share of the light, 0 to 1, that a sphere takes from point ``o``; ``d`` is the way to the light.
+    """Return the share of the light, 0 to 1, that a sphere takes from point ``o``; ``d`` is the way
+    to the light.
 
-    Half of the light is taken on the outline, as the light sees the sphere, and the penumbra is as wide on either side;
-    it widens with the distance from the shape. ``spread`` is the light's angular radius [rad].
+    Half of the light is taken on the outline, as the light sees the sphere, and the penumbra is as
+    wide on either side; it widens with the distance from the shape. ``spread`` is the light's
+    angular radius [rad].
     """
     along = wp.max(-wp.dot(o, d), 0.0)
     return _covered(size[0], wp.length(o + along * d), spread * along)
@@ -222,7 +250,9 @@ def shadow_ellipsoid(size: wp.vec3, spread: float, o: wp.vec3, d: wp.vec3) -> fl
     """Return the share that an ellipsoid takes: in the space in which it is a sphere."""
     point, way = wp.cw_div(o, size), wp.cw_div(d, size)
     along = wp.max(-wp.dot(point, way) / wp.dot(way, way), 0.0)
-    return _covered(1.0, wp.length(point + along * way), 3.0 * spread * along / (size[0] + size[1] + size[2]))
+    return _covered(
+        1.0, wp.length(point + along * way), 3.0 * spread * along / (size[0] + size[1] + size[2])
+    )
 
 
 @wp.func
@@ -237,7 +267,9 @@ def shadow_capsule(size: wp.vec3, spread: float, o: wp.vec3, d: wp.vec3) -> floa
 
 @wp.func
 def shadow_cylinder(size: wp.vec3, spread: float, o: wp.vec3, d: wp.vec3) -> float:
-    """Return the share that a cylinder takes: its outline is a rectangle with an ellipse at either end."""
+    """Return the share that a cylinder takes: its outline is a rectangle with an ellipse at either
+    end.
+    """
     a, b = wp.max(d[0] * d[0] + d[1] * d[1], THIN), o[0] * d[0] + o[1] * d[1]
     inside = wp.max(b * b - a * (o[0] * o[0] + o[1] * o[1] - size[0] * size[0]), 0.0)
     end = wp.min((wp.sqrt(inside) - b) / a, slab_exit(o[2], d[2], size[1]))
@@ -254,43 +286,64 @@ def shadow_cylinder(size: wp.vec3, spread: float, o: wp.vec3, d: wp.vec3) -> flo
 
 @wp.func
 def shadow_box(size: wp.vec3, spread: float, o: wp.vec3, d: wp.vec3) -> float:
-    """Return the share that a box takes: its outline is a hexagon of three pairs of parallel sides."""
-    end = wp.min(slab_exit(o[0], d[0], size[0]), wp.min(slab_exit(o[1], d[1], size[1]), slab_exit(o[2], d[2], size[2])))
-    x = _beside(o[1] * d[2] - o[2] * d[1], size[1] * wp.abs(d[2]) + size[2] * wp.abs(d[1]), d[1], d[2])
-    y = _beside(o[2] * d[0] - o[0] * d[2], size[2] * wp.abs(d[0]) + size[0] * wp.abs(d[2]), d[2], d[0])
-    z = _beside(o[0] * d[1] - o[1] * d[0], size[0] * wp.abs(d[1]) + size[1] * wp.abs(d[0]), d[0], d[1])
+    """Return the share that a box takes: its outline is a hexagon of three pairs of parallel
+    sides.
+    """
+    end = wp.min(
+        slab_exit(o[0], d[0], size[0]),
+        wp.min(slab_exit(o[1], d[1], size[1]), slab_exit(o[2], d[2], size[2])),
+    )
+    x = _beside(
+        o[1] * d[2] - o[2] * d[1], size[1] * wp.abs(d[2]) + size[2] * wp.abs(d[1]), d[1], d[2]
+    )
+    y = _beside(
+        o[2] * d[0] - o[0] * d[2], size[2] * wp.abs(d[0]) + size[0] * wp.abs(d[2]), d[2], d[0]
+    )
+    z = _beside(
+        o[0] * d[1] - o[1] * d[0], size[0] * wp.abs(d[1]) + size[1] * wp.abs(d[0]), d[0], d[1]
+    )
     return _straight(wp.max(x, wp.max(y, z)), spread, end)
 
 
 @wp.func
 def _beside(along: float, half: float, d1: float, d2: float) -> float:
-    """Distance [m] at which a ray passes outside a pair of sides, if its direction has these parts across them."""
+    """Distance [m] at which a ray passes outside a pair of sides, if its direction has these parts
+    across them.
+    """
     aslant = wp.sqrt(d1 * d1 + d2 * d2)
     return wp.where(aslant < FLAT, -BESIDE_ALL, (wp.abs(along) - half) / wp.max(aslant, FLAT))
 
 
 @wp.func
 def _covered(radius: float, passing: float, wider: float) -> float:
-    """Share of the light's disc behind a disc of this radius, which the ray passes at this distance from its centre."""
+    """Share of the light's disc behind a disc of this radius, which the ray passes at this distance
+    from its centre.
+    """
     return _half_shadow(passing - radius, wider) * wp.min(radius / (wider + THIN), 1.0)
 
 
 @wp.func
 def _straight(outside: float, spread: float, end: float) -> float:
-    """Share of the light that a ray loses which passes this far outside an outline and leaves the shape at ``end``."""
+    """Share of the light that a ray loses which passes this far outside an outline and leaves the
+    shape at ``end``.
+    """
     return wp.where(end > 0.0, _half_shadow(outside, spread * end), 0.0)
 
 
 @wp.func
 def _half_shadow(outside: float, wider: float) -> float:
-    """Share of the light's disc behind an edge that a ray passes this far outside [m]; half of it on the edge."""
+    """Share of the light's disc behind an edge that a ray passes this far outside [m]; half of it
+    on the edge.
+    """
     share = wp.clamp(0.5 - outside / (2.0 * wider + THIN), 0.0, 1.0)
     return share * share * (3.0 - 2.0 * share)
 
 
 @wp.func
 def textured_half_size(geom_type: int, size: wp.vec3) -> float:
-    """Return half of the length [m] over which the texture of a shape repeats once, along its shorter side."""
+    """Return half of the length [m] over which the texture of a shape repeats once, along its
+    shorter side.
+    """
     if geom_type == PLANE:
         return wp.min(size[0], size[1])
     if geom_type == BOX:

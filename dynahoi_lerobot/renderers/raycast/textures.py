@@ -1,6 +1,8 @@
-"""Textures at several sharpnesses, so that what is far away neither flickers nor shows moire (Williams, 1983).
+"""Textures at several sharpnesses, so that what is far away neither flickers nor shows moire
+(Williams, 1983).
 
-Levels shrink by the square root of two, so that the nearest one can be taken and no seam shows between them.
+Levels shrink by the square root of two, so that the nearest one can be taken and no seam shows
+between them.
 """
 
 # ruff: noqa: PLR0917 - warp functions take their arguments by position
@@ -30,7 +32,8 @@ class Textures:
         texels_each: M.
         starts: (L,) where each level of a texture begins.
         sides: (L,) side of each level [texels].
-        limits: (L - 1,) texels of the sharpest level in a pixel from which on each next level is taken.
+        limits: (L - 1,) texels of the sharpest level in a pixel from which on each next level is
+            taken.
         filtered: 1 to sample the level that fits a pixel, 0 for the sharpest always.
     """
 
@@ -46,7 +49,8 @@ class Textures:
 def level_of(textures: Textures, repeats_per_pixel: float, facing: float) -> int:
     """Return the level whose texels are about as large as a pixel.
 
-    A pixel that sees a surface aslant covers more of it in one direction; the level is that of the mean of both.
+    A pixel that sees a surface aslant covers more of it in one direction; the level is that of the
+    mean of both.
 
     Args:
         textures: of the scene.
@@ -87,9 +91,13 @@ def texel(texels: wp.array[float], start: int, side: int, wrap: int, u: float, v
 
 @functools.cache  # every shard of a dataset has a renderer of its own
 def textures_of(model: mujoco.MjModel, *, filtered: bool) -> Any:
-    """Return the ``Textures`` of a model, whose textures must be square, grey and of one size, on warp's device."""
+    """Return the ``Textures`` of a model, whose textures must be square, grey and of one size, on
+    warp's device.
+    """
     side = int(model.tex_width[0])
-    sharpest = model.tex_data.reshape(model.ntex, side, side, 3)[..., 0].astype(np.float32) / 255  # (K, S, S)
+    sharpest = (
+        model.tex_data.reshape(model.ntex, side, side, 3)[..., 0].astype(np.float32) / 255
+    )  # (K, S, S)
     sides = level_sides(side)
     levels = [shrink(sharpest, smaller).reshape(model.ntex, -1) for smaller in sides]
     textures = Textures()
@@ -109,7 +117,9 @@ def level_sides(side: int) -> list[int]:
 
 
 def shrink(textures: np.ndarray, side: int) -> np.ndarray:
-    """Return textures (K, S, S) averaged down to (K, side, side): each texel is the mean of the area it covers."""
+    """Return textures (K, S, S) averaged down to (K, side, side): each texel is the mean of the
+    area it covers.
+    """
     mean = _area_means(textures.shape[1], side)
     return (np.round((mean @ textures @ mean.T) * ROUNDING) / ROUNDING).astype(np.float32)
 

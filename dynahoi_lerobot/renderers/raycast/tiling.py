@@ -1,6 +1,8 @@
-"""Per frame: geoms brought into a form that is cheap to intersect, and listed with the image tiles that they matter to.
+"""Per frame: geoms brought into a form that is cheap to intersect, and listed with the image tiles
+that they matter to.
 
-A tile lists the shapes that its pixels may show and, once those are traced, the shapes that may shade what it shows.
+A tile lists the shapes that its pixels may show and, once those are traced, the shapes that may
+shade what it shows.
 """
 
 # ruff: noqa: PLR0917 - kernels take their arguments by position
@@ -44,7 +46,8 @@ class CameraIntrinsics:
     """Pinhole camera.
 
     Attributes:
-        camera: id in the model; ``size``: side of the square image [px]; ``focal``: focal length [px].
+        camera: id in the model; ``size``: side of the square image [px]; ``focal``: focal length
+            [px].
         tiles_across: tiles in a row of the image.
     """
 
@@ -56,7 +59,9 @@ class CameraIntrinsics:
 
 @wp.func
 def slope(intrinsics: CameraIntrinsics, at: float) -> float:
-    """Return the slope, to the right or downwards, of the ray at a distance [px] from the image's edge."""
+    """Return the slope, to the right or downwards, of the ray at a distance [px] from the image's
+    edge.
+    """
     return (at - 0.5 * float(intrinsics.size)) / intrinsics.focal
 
 
@@ -87,7 +92,8 @@ class Shape:
         repeats_per_m: how often it repeats along a metre of the surface, where that is most.
         alpha: opacity, 0 to 1.
         specularity: share of the light's specular colour that it reflects.
-        bounds: in the image: least and greatest column, then row [px]; inverted if it is not visible.
+        bounds: in the image: least and greatest column, then row [px]; inverted if it is not
+            visible.
         low, high: corners of a box around it, light frame [m]; inverted if it casts no shadow.
     """
 
@@ -110,19 +116,23 @@ class Shape:
 
 @wp.struct
 class Worlds:
-    """What there is in each world of a batch, in which tiles of its image, and what its pixels show.
+    """What there is in each world of a batch, in which tiles of its image, and what its pixels
+    show.
 
     Attributes:
         shapes: (N, S) shapes.
         lists, counts: (N, tiles, S) shapes that a tile may show, and (N, tiles) how many.
         casters, caster_counts: shapes that may shade what a tile shows, likewise.
-        visible, depths: (N, H, tiles across) index of the shape that each pixel shows, -1 for none, and depth [m].
+        visible, depths: (N, H, tiles across) index of the shape that each pixel shows, -1 for none,
+            and depth [m].
         colors: (N, H, tiles across) 0xBBGGRR from the middle of each pixel.
         images: (N, H, W, 3) RGB.
         cam_xpos, cam_xmat: (N, cameras) poses, world.
-        light_xdir: (N, lights) directions in which light travels, world; of all lights the first counts.
+        light_xdir: (N, lights) directions in which light travels, world; of all lights the first
+            counts.
         diffuse, specular: (N, lights) their colours.
-        light_camera: (N,) position of the camera [m] in the light frame, whose z axis points towards the light.
+        light_camera: (N,) position of the camera [m] in the light frame, whose z axis points
+            towards the light.
         light_from_camera: (N,) rotations from the camera's axes to it.
     """
 
@@ -145,18 +155,31 @@ class Worlds:
 
 
 def worlds_of(fields: Mapping[str, wp.array], intrinsics: Any, shapes: int) -> Any:
-    """Return ``Worlds`` of per-world fields of N rows, by name, on warp's current device; nothing is placed yet."""
+    """Return ``Worlds`` of per-world fields of N rows, by name, on warp's current device; nothing
+    is placed yet.
+    """
     worlds, nsim = Worlds(), fields["geom_xpos"].shape[0]
-    worlds.cam_xpos, worlds.cam_xmat, worlds.light_xdir = (fields[n] for n in ("cam_xpos", "cam_xmat", "light_xdir"))
+    worlds.cam_xpos, worlds.cam_xmat, worlds.light_xdir = (
+        fields[n] for n in ("cam_xpos", "cam_xmat", "light_xdir")
+    )
     worlds.diffuse, worlds.specular = fields["light_diffuse"], fields["light_specular"]
     worlds.shapes = wp.empty((nsim, shapes), dtype=Shape)
-    tiles, rows = (nsim, intrinsics.tiles_across**2), (nsim, intrinsics.size, intrinsics.tiles_across)
-    worlds.lists, worlds.casters = wp.empty((*tiles, shapes), dtype=int), wp.empty((*tiles, shapes), dtype=int)
+    tiles, rows = (
+        (nsim, intrinsics.tiles_across**2),
+        (nsim, intrinsics.size, intrinsics.tiles_across),
+    )
+    worlds.lists, worlds.casters = (
+        wp.empty((*tiles, shapes), dtype=int),
+        wp.empty((*tiles, shapes), dtype=int),
+    )
     worlds.counts, worlds.caster_counts = wp.empty(tiles, dtype=int), wp.zeros(tiles, dtype=int)
     worlds.visible, worlds.depths = wp.empty(rows, dtype=Indices), wp.empty(rows, dtype=Row)
     worlds.colors = wp.empty(rows, dtype=Indices)
     worlds.images = wp.empty((nsim, intrinsics.size, intrinsics.size, 3), dtype=wp.uint8)
-    worlds.light_camera, worlds.light_from_camera = wp.empty(nsim, dtype=wp.vec3), wp.empty(nsim, dtype=wp.mat33)
+    worlds.light_camera, worlds.light_from_camera = (
+        wp.empty(nsim, dtype=wp.vec3),
+        wp.empty(nsim, dtype=wp.mat33),
+    )
     return worlds
 
 
@@ -199,7 +222,9 @@ def place_shapes(
         shape.specularity = 1.0
         shape.texture = texture_of[geom_matid[w, geom]]
         shape.repeat = repeat_of[geom_matid[w, geom]]
-        shape.repeats_per_m = 0.5 * wp.max(shape.repeat) / textured_half_size(shape.geom_type, shape.size)
+        shape.repeats_per_m = (
+            0.5 * wp.max(shape.repeat) / textured_half_size(shape.geom_type, shape.size)
+        )
     shape.bounds = wp.vec4(FAR, -FAR, FAR, -FAR)
     shape.low = wp.vec3(FAR)
     shape.high = wp.vec3(-FAR)
@@ -230,18 +255,23 @@ def _bounds(intrinsics: CameraIntrinsics, shape: Shape) -> wp.vec4:
         return _sphere_bounds(intrinsics, center, wp.max(shape.size))
     end = to_camera * wp.vec3(0.0, 0.0, shape.size[1])
     return _bounds_of_both(
-        _sphere_bounds(intrinsics, center - end, shape.size[0]), _sphere_bounds(intrinsics, center + end, shape.size[0])
+        _sphere_bounds(intrinsics, center - end, shape.size[0]),
+        _sphere_bounds(intrinsics, center + end, shape.size[0]),
     )
 
 
 @wp.func
-def _box_bounds(intrinsics: CameraIntrinsics, center: wp.vec3, to_camera: wp.mat33, size: wp.vec3) -> wp.vec4:
+def _box_bounds(
+    intrinsics: CameraIntrinsics, center: wp.vec3, to_camera: wp.mat33, size: wp.vec3
+) -> wp.vec4:
     bounds = wp.vec4(FAR, -FAR, FAR, -FAR)
     for corner in range(8):
         x = size[0] * (2.0 * float(corner & 1) - 1.0)
         y = size[1] * (float(corner & 2) - 1.0)
         z = size[2] * (0.5 * float(corner & 4) - 1.0)
-        bounds = _bounds_of_both(bounds, _sphere_bounds(intrinsics, center + to_camera * wp.vec3(x, y, z), 0.0))
+        bounds = _bounds_of_both(
+            bounds, _sphere_bounds(intrinsics, center + to_camera * wp.vec3(x, y, z), 0.0)
+        )
     return bounds
 
 
@@ -270,9 +300,11 @@ def _bounds_of_both(a: wp.vec4, b: wp.vec4) -> wp.vec4:
 
 @wp.kernel
 def sort_into_tiles(intrinsics: CameraIntrinsics, room: wp.array[int], worlds: Worlds):
-    """List the shapes whose bounds overlap a tile, in the order of the geoms. Launched over (worlds, tiles).
+    """List the shapes whose bounds overlap a tile, in the order of the geoms. Launched over
+    (worlds, tiles).
 
-    Floor and walls, of the numbers in ``room``, extend beyond the image, but most tiles show only one of them.
+    Floor and walls, of the numbers in ``room``, extend beyond the image, but most tiles show only
+    one of them.
     """
     w, tile = wp.tid()
     left = float((tile % intrinsics.tiles_across) * TILE)
@@ -303,8 +335,8 @@ def _hidden_by_room(
 ) -> int:
     """1 if at all corners of a tile one other side of the room is nearer than side ``s``.
 
-    The camera is inside the room, so where one plane hides another is a half-plane of the image: if it holds the
-    corners, it holds the tile.
+    The camera is inside the room, so where one plane hides another is a half-plane of the image: if
+    it holds the corners, it holds the tile.
     """
     own = _corner_depths(intrinsics, shapes[w, s], left, top)
     for k in range(room.shape[0]):
@@ -365,7 +397,9 @@ def sort_casters(intrinsics: CameraIntrinsics, worlds: Worlds):
 
 @wp.func
 def may_shade(caster_low: wp.vec3, caster_high: wp.vec3, low: wp.vec3, high: wp.vec3) -> bool:
-    """Return whether something in one box may shade something in another; corners [m], light frame."""
+    """Return whether something in one box may shade something in another; corners [m], light
+    frame.
+    """
     edge = SPREAD * wp.max(caster_high[2] - low[2], 0.0)
     beside = caster_low[0] - edge > high[0] or caster_high[0] + edge < low[0]
     beside = beside or caster_low[1] - edge > high[1] or caster_high[1] + edge < low[1]
@@ -396,7 +430,13 @@ def _half_extents(shape: Shape) -> wp.vec3:
 def _reach(turned: wp.mat33, half: wp.vec3) -> wp.vec3:
     """How far a turned box of these half extents reaches along each axis."""
     return wp.vec3(
-        wp.abs(turned[0, 0]) * half[0] + wp.abs(turned[0, 1]) * half[1] + wp.abs(turned[0, 2]) * half[2],
-        wp.abs(turned[1, 0]) * half[0] + wp.abs(turned[1, 1]) * half[1] + wp.abs(turned[1, 2]) * half[2],
-        wp.abs(turned[2, 0]) * half[0] + wp.abs(turned[2, 1]) * half[1] + wp.abs(turned[2, 2]) * half[2],
+        wp.abs(turned[0, 0]) * half[0]
+        + wp.abs(turned[0, 1]) * half[1]
+        + wp.abs(turned[0, 2]) * half[2],
+        wp.abs(turned[1, 0]) * half[0]
+        + wp.abs(turned[1, 1]) * half[1]
+        + wp.abs(turned[1, 2]) * half[2],
+        wp.abs(turned[2, 0]) * half[0]
+        + wp.abs(turned[2, 1]) * half[1]
+        + wp.abs(turned[2, 2]) * half[2],
     )

@@ -1,6 +1,7 @@
 """The DynaHOI benchmark as a LeRobot environment: ``--env.type=dynahoi``.
 
-LeRobot imports this package by its distribution name; importing it registers the config and the gymnasium ids.
+LeRobot imports this package by its distribution name; importing it registers the config and the
+gymnasium ids.
 """
 
 from importlib.metadata import version

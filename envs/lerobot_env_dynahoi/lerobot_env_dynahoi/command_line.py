@@ -1,4 +1,6 @@
-"""What LeRobot's command line says of the policy: LeRobot makes an env first and does not pass the policy to it."""
+"""What LeRobot's command line says of the policy: LeRobot makes an env first and does not pass the
+policy to it.
+"""
 
 import sys
 from datetime import datetime
@@ -10,7 +12,12 @@ from lerobot.configs import PreTrainedConfig, parser
 
 from dynahoi_lerobot.core.features import IMAGE_PREFIX
 from dynahoi_lerobot.core.reading import ReadError, read_object, read_yaml
-from dynahoi_lerobot.evaluate.checkpoint import CONFIG, described_folder, folder_weights, trained_for
+from dynahoi_lerobot.evaluate.checkpoint import (
+    CONFIG,
+    described_folder,
+    folder_weights,
+    trained_for,
+)
 from dynahoi_lerobot.renderers.views import OPTIONAL_VIEWS
 from dynahoi_lerobot.rollout.inference import QueuedPolicy
 
@@ -29,7 +36,8 @@ def policy_name() -> str:
 
 
 def policy_weights() -> dict[str, str]:
-    """Return the sha256 of the weights of the local checkpoint that ``lerobot-eval`` plays; nothing elsewhere.
+    """Return the sha256 of the weights of the local checkpoint that ``lerobot-eval`` plays; nothing
+    elsewhere.
 
     In training the checkpoint of the command line is what training began with.
     """
@@ -38,7 +46,9 @@ def policy_weights() -> dict[str, str]:
 
 
 def policy_rules() -> dict[str, Any]:
-    """Return the views and the rules that the checkpoint of the command line was trained for, see ``trained_for``."""
+    """Return the views and the rules that the checkpoint of the command line was trained for, see
+    ``trained_for``.
+    """
     if (path := _policy_path()) is None:
         return {}
     try:
@@ -51,10 +61,11 @@ def policy_rules() -> dict[str, Any]:
 
 
 def new_results_folder() -> Path:
-    """Return a folder for an evaluation that begins now: below ``--output_dir``, or ``outputs`` if that is not given.
+    """Return a folder for an evaluation that begins now: below ``--output_dir``, or ``outputs`` if
+    that is not given.
 
-    The file that ``--config_path`` names may give it, too. A training evaluates several times, so each evaluation has a
-    folder of its own.
+    The file that ``--config_path`` names may give it, too. A training evaluates several times, so
+    each evaluation has a folder of its own.
     """
     config = Path(parser.parse_arg("config_path") or "")
     told = read_yaml(config) if config.is_file() else {}
@@ -66,21 +77,32 @@ def queued_policy(n_action_steps: int) -> QueuedPolicy:
     """Return how the policy of LeRobot's command line answers calls for one action.
 
     Args:
-        n_action_steps: how many calls an inference answers, where no command line names the policy; 0 if not told.
+        n_action_steps: how many calls an inference answers, where no command line names the policy;
+            0 if not told.
 
     Raises:
         ValueError: if neither says how many, or if the two differ.
     """
     config = _policy_config()
-    name, steps = getattr(config, "type", "policy"), getattr(config, "n_action_steps", 0) or n_action_steps
+    name, steps = (
+        getattr(config, "type", "policy"),
+        getattr(config, "n_action_steps", 0) or n_action_steps,
+    )
     if n_action_steps not in (0, steps):
-        raise ValueError(f"env.n_action_steps is {n_action_steps}, but the policy's is {steps}; leave it out")
+        raise ValueError(
+            f"env.n_action_steps is {n_action_steps}, but the policy's is {steps}; leave it out"
+        )
     if steps < 1:
         raise ValueError(
-            f"inference async must know how many actions of a chunk {name!r} executes, and is not told; pass "
+            f"inference async must know how many actions of a chunk {name!r} executes, and is "
+            f"not told; pass "
             "--env.n_action_steps, or use dynahoi evaluate --inference async"
         )
-    frames = getattr(config, "lookback", None) or getattr(config, "observation_delta_indices", None) or [0]
+    frames = (
+        getattr(config, "lookback", None)
+        or getattr(config, "observation_delta_indices", None)
+        or [0]
+    )
     return QueuedPolicy(name, steps, lookback_frames=-min(frames))
 
 

@@ -22,7 +22,8 @@ from lerobot_env_dynahoi.task_env import ResultsLog, TaskEnv
 RECIPE_FIELDS = tuple(name for name in PLAYING if name != "motions")
 """Fields of the recipe that the config offers; its ``task`` names the motions."""
 RecipeFields = make_dataclass(
-    "RecipeFields", [(name, get_type_hints(Recipe)[name] | None, field(default=None)) for name in RECIPE_FIELDS]
+    "RecipeFields",
+    [(name, get_type_hints(Recipe)[name] | None, field(default=None)) for name in RECIPE_FIELDS],
 )
 """These fields, None where nothing is said."""
 
@@ -32,19 +33,23 @@ RecipeFields = make_dataclass(
 class DynahoiEnvConfig(RecipeFields, EnvConfig):
     """Dynamic capture: one suite per category of motion, one task per kind.
 
-    The fields of `Recipe` that matter to a policy are fields here as well, such as ``split``, ``image_size``,
-    ``control_class`` and ``environment_state``. One that is None is as the policy of the command line was trained
-    (``capture``, ``control_class``, ``protocol``, ``image_size``, ``views``), or else as in the recipe by default; the
-    split is ``test``. A seed is the number of an episode within split and kind of motion; fixed splits wrap around.
+    The fields of `Recipe` that matter to a policy are fields here as well, such as ``split``,
+    ``image_size``, ``control_class`` and ``environment_state``. One that is None is as the policy
+    of the command line was trained (``capture``, ``control_class``, ``protocol``, ``image_size``,
+    ``views``), or else as in the recipe by default; the split is ``test``. A seed is the number of
+    an episode within split and kind of motion; fixed splits wrap around.
 
     Attributes:
-        task: one kind of motion, one category, several of either separated by commas, or None for all 22 kinds.
-        inference: ``sync``, the world waits for the policy, or ``async``, its inferences take ``latency_ms``, one at a
-            time (`rollout.inference.StepwiseInference`).
+        task: one kind of motion, one category, several of either separated by commas, or None for
+            all 22 kinds.
+        inference: ``sync``, the world waits for the policy, or ``async``, its inferences take
+            ``latency_ms``, one at a time (`rollout.inference.StepwiseInference`).
         latency_ms: time from an observation to the chunk that answers it [ms].
-        n_action_steps: the policy's, where LeRobot's command line does not name the policy; else leave it 0.
+        n_action_steps: the policy's, where LeRobot's command line does not name the policy; else
+            leave it 0.
         reward: ``sparse`` or ``dense``, see `dynahoi_lerobot.env.vector_env.REWARDS`.
-        results_dir: where the metrics go; a new folder below ``dynahoi`` in LeRobot's ``--output_dir`` if None.
+        results_dir: where the metrics go; a new folder below ``dynahoi`` in LeRobot's
+            ``--output_dir`` if None.
     """
 
     task: str | None = None
@@ -58,12 +63,15 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
     features_map: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Fill in ``features`` (by Gymnasium key, images by dataset key) and ``features_map``; check all names.
+        """Fill in ``features`` (by Gymnasium key, images by dataset key) and ``features_map``;
+        check all names.
 
-        LeRobot's recording of evaluations looks for images under dataset keys, and for all else under Gymnasium's.
+        LeRobot's recording of evaluations looks for images under dataset keys, and for all else
+        under Gymnasium's.
 
         Raises:
-            ValueError: for an unknown name, naming the ones there are, or for more than one task at a time.
+            ValueError: for an unknown name, naming the ones there are, or for more than one task at
+                a time.
         """
         if self.max_parallel_tasks != 1:
             told = "must be 1, because LeRobot's parallel tasks share one policy and its memory"
@@ -79,7 +87,9 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
             for feature in recipe.features()
             if feature.gym_key is not None
         }
-        self.features = {key: PolicyFeature(_type(feature), feature.shape) for key, feature in shown.items()}
+        self.features = {
+            key: PolicyFeature(_type(feature), feature.shape) for key, feature in shown.items()
+        }
         self.features_map = {key: feature.key for key, feature in shown.items()}
 
     @property
@@ -87,11 +97,15 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
         """Keyword arguments of the env."""
         return {"recipe": self._recipe()}
 
-    def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, gym.vector.VectorEnv]]:
-        """Return ``{category: {task number: env}}``; each env is one native batch, there is nothing to make async.
+    def create_envs(
+        self, n_envs: int, use_async_envs: bool = False
+    ) -> dict[str, dict[int, gym.vector.VectorEnv]]:
+        """Return ``{category: {task number: env}}``; each env is one native batch, there is nothing
+        to make async.
 
         Raises:
-            ValueError: for a timing of inference that there is not, or that cannot be had with the policy.
+            ValueError: for a timing of inference that there is not, or that cannot be had with the
+                policy.
         """
         del use_async_envs
         recipe = self._recipe()
@@ -104,16 +118,26 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
         for kind in kinds:
             tasks = suites.setdefault(MOTIONS[kind].category, {})
             stepwise = None if policy is None else StepwiseInference(policy, timing)
-            options: dict[str, Any] = {"recipe": recipe, "reward": self.reward, "inference": stepwise}
+            options: dict[str, Any] = {
+                "recipe": recipe,
+                "reward": self.reward,
+                "inference": stepwise,
+            }
             tasks[len(tasks)] = TaskEnv(n_envs, on_episode=log, kind=kind, **options)
         return suites
 
     def _recipe(self) -> Recipe:
-        """Return what is played: what is given, and else what the policy was trained for, which is printed."""
-        given = {name: value for name in RECIPE_FIELDS if (value := getattr(self, name)) is not None}
+        """Return what is played: what is given, and else what the policy was trained for, which is
+        printed.
+        """
+        given = {
+            name: value for name in RECIPE_FIELDS if (value := getattr(self, name)) is not None
+        }
         trained = {name: value for name, value in policy_rules().items() if name not in given}
         if trained:
-            told = ", ".join(f"{name} {','.join(v) if name == 'views' else v}" for name, v in trained.items())
+            told = ", ".join(
+                f"{name} {','.join(v) if name == 'views' else v}" for name, v in trained.items()
+            )
             print(f"playing as the policy was trained: {told}")
         return Recipe(split="test").changed(**trained | given)
 

@@ -1,7 +1,7 @@
 """One task of the benchmark for LeRobot's evaluation loop, and the results it leaves behind.
 
-LeRobot's loop keeps rewards and successes only, so the envs themselves write the benchmark's result folder: the same
-files that ``dynahoi evaluate`` writes.
+LeRobot's loop keeps rewards and successes only, so the envs themselves write the benchmark's result
+folder: the same files that ``dynahoi evaluate`` writes.
 """
 
 from pathlib import Path
@@ -17,16 +17,24 @@ from lerobot_env_dynahoi.command_line import policy_name, policy_weights
 
 
 class ResultsLog:
-    """Collects the finished episodes of all tasks of one evaluation and writes them as one result folder."""
+    """Collects the finished episodes of all tasks of one evaluation and writes them as one result
+    folder.
+    """
 
     def __init__(self, folder: Path, recipe: Recipe, inference: str = "") -> None:
-        """Write episodes of ``recipe``, played with the timing ``inference``, into ``folder`` whenever a task ends."""
+        """Write episodes of ``recipe``, played with the timing ``inference``, into ``folder``
+        whenever a task ends.
+        """
         privileged = recipe.environment_state == TRUTH
-        info = RunInfo.begun(policy_name(), recipe, policy_weights(), inference=inference, privileged=privileged)
+        info = RunInfo.begun(
+            policy_name(), recipe, policy_weights(), inference=inference, privileged=privileged
+        )
         self._results, self._unwritten = Results(folder, info), False
 
     def __call__(self, episode: Episode) -> None:
-        """Keep an episode, once: LeRobot fills its last batch with episodes it has played before."""
+        """Keep an episode, once: LeRobot fills its last batch with episodes it has played
+        before.
+        """
         if episode.meta.seed not in self._results.seeds:
             self._results = self._results.plus([episode])
             self._unwritten = True
@@ -37,7 +45,9 @@ class ResultsLog:
             return
         self._results.write()
         self._unwritten = False
-        print(f"{results_table([self._results])}\nmetrics so far: {self._results.folder}", flush=True)
+        print(
+            f"{results_table([self._results])}\nmetrics so far: {self._results.folder}", flush=True
+        )
 
 
 class TaskEnv(DynahoiVectorEnv):

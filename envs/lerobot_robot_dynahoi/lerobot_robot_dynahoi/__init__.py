@@ -1,11 +1,16 @@
-"""The simulated hand of DynaHOI as a LeRobot robot, ``--robot.type=dynahoi``, and its teleoperators.
+"""The simulated hand of DynaHOI as a LeRobot robot, ``--robot.type=dynahoi``, and its
+teleoperators.
 
 LeRobot imports this package by its distribution name; importing it registers the configs.
 """
 
 from importlib.metadata import version
 
-from lerobot_robot_dynahoi.config_dynahoi import DynahoiBrowserConfig, DynahoiExpertConfig, DynahoiRobotConfig
+from lerobot_robot_dynahoi.config_dynahoi import (
+    DynahoiBrowserConfig,
+    DynahoiExpertConfig,
+    DynahoiRobotConfig,
+)
 from lerobot_robot_dynahoi.dynahoi import DynahoiRobot
 from lerobot_robot_dynahoi.teleoperators import DynahoiBrowser, DynahoiExpert
 

@@ -25,10 +25,12 @@ class DynahoiRobotConfig(RobotConfig):
         hand: the hand; that of the capture rule if empty.
         image_size: side of the camera images [px].
         views: cameras besides ``ego``.
-        realtime: whether the world moves at 20 Hz by the clock; else every action moves it by one frame.
-        restart_s: after an episode has ended, the next one begins this much later [s], never if ``inf``; None if
-            LeRobot begins episodes, as it does when it records.
-        results_dir: where metrics are written, as by ``dynahoi evaluate``, and resumed; nowhere if None.
+        realtime: whether the world moves at 20 Hz by the clock; else every action moves it by one
+            frame.
+        restart_s: after an episode has ended, the next one begins this much later [s], never if
+            ``inf``; None if LeRobot begins episodes, as it does when it records.
+        results_dir: where metrics are written, as by ``dynahoi evaluate``, and resumed; nowhere if
+            None.
         player: who moves the hand, in those results.
     """
 
@@ -53,20 +55,27 @@ class DynahoiRobotConfig(RobotConfig):
         """
         super().__post_init__()
         if not self.image_size:
-            raise ValueError("robot.image_size is 0, but the robot needs its camera; set it to 32 or more")
+            raise ValueError(
+                "robot.image_size is 0, but the robot needs its camera; set it to 32 or more"
+            )
         _ = kind_seed(self.recipe, self.task, self.seed), HANDS[self.recipe.hand]
 
     @property
     def recipe(self) -> Recipe:
         """Rules of the episodes."""
-        rules = {name: getattr(self, name) for name in ("split", "control_class", "hand", "image_size", "views")}
+        rules = {
+            name: getattr(self, name)
+            for name in ("split", "control_class", "hand", "image_size", "views")
+        }
         return Recipe(**{**rules, "views": tuple(self.views), "capture": self.capture})
 
 
 @TeleoperatorConfig.register_subclass("dynahoi_expert")
 @dataclass(kw_only=True)
 class DynahoiExpertConfig(TeleoperatorConfig):
-    """The privileged expert of the capture rule moves the connected ``dynahoi`` robot of this process."""
+    """The privileged expert of the capture rule moves the connected ``dynahoi`` robot of this
+    process.
+    """
 
 
 @TeleoperatorConfig.register_subclass("dynahoi_browser")
@@ -75,7 +84,8 @@ class DynahoiBrowserConfig(TeleoperatorConfig):
     """A person at a web page moves the connected ``dynahoi`` robot of this process.
 
     Attributes:
-        host, port: where the page is served; the printed address holds a token if others can reach the host.
+        host, port: where the page is served; the printed address holds a token if others can reach
+            the host.
     """
 
     host: str = "127.0.0.1"

@@ -23,14 +23,17 @@ from lerobot_robot_dynahoi.config_dynahoi import DynahoiRobotConfig
 NAMES = FEATURES["action"].names
 """Degrees of freedom as LeRobot calls them, in the order of actions and states."""
 PAUSE_S, LONG_PAUSE_S = 0.25, 1.0
-"""LeRobot acts every 0.05 s. An observation this long after the last action begins an episode of LeRobot's own: the
-first where the world's episode is over, the second in the middle of it, where a slow policy also lets time pass."""
+"""LeRobot acts every 0.05 s. An observation this long after the last action begins an episode of
+LeRobot's own: the first where the world's episode is over, the second in the middle of it, where a
+slow policy also lets time pass."""
 
 logger = logging.getLogger(__name__)
 
 
 class Simulated:
-    """What the robot and its teleoperators share: the numbers of a command, and nothing to calibrate."""
+    """What the robot and its teleoperators share: the numbers of a command, and nothing to
+    calibrate.
+    """
 
     @property
     def action_features(self) -> dict[str, type]:
@@ -50,12 +53,14 @@ class Simulated:
 
 
 class DynahoiRobot(Simulated, Robot):
-    """One hand and one moving object; the palm's centre [m], home frame, and 15 joint angles [rad] end in ``.pos``.
+    """One hand and one moving object; the palm's centre [m], home frame, and 15 joint angles [rad]
+    end in ``.pos``.
 
-    An episode begins with the first action after it was laid out; when it is over the world stands still. The next one
-    is laid out when LeRobot begins an episode of its own, which is told by the pause before that, or, where LeRobot has
-    no episodes, after the config's ``restart_s``. While paused, LeRobot may send the same dict again and again;
-    that neither ends the pause nor begins an episode.
+    An episode begins with the first action after it was laid out; when it is over the world stands
+    still. The next one is laid out when LeRobot begins an episode of its own, which is told by the
+    pause before that, or, where LeRobot has no episodes, after the config's ``restart_s``. While
+    paused, LeRobot may send the same dict again and again; that neither ends the pause nor begins
+    an episode.
     """
 
     config_class = DynahoiRobotConfig
@@ -63,14 +68,18 @@ class DynahoiRobot(Simulated, Robot):
     connected: ClassVar[list[DynahoiRobot]] = []
     """The robots that this process has connected, which teleoperators look into."""
 
-    def __init__(self, config: DynahoiRobotConfig, clock: Callable[[], float] = time.perf_counter) -> None:
+    def __init__(
+        self, config: DynahoiRobotConfig, clock: Callable[[], float] = time.perf_counter
+    ) -> None:
         """Take a config; ``clock`` returns the time [s]."""
         super().__init__(config)
         self.config, self.recipe, self._clock = config, config.recipe, clock
         self._world: LiveWorld | None = None
         self._number = config.seed  # of the next episode
         self._acted_s: float | None = None  # when the last action of this episode came
-        self._sent: dict[str, Any] | None = None  # LeRobot sends the same dict again while it is paused
+        self._sent: dict[str, Any] | None = (
+            None  # LeRobot sends the same dict again while it is paused
+        )
         self._ended_s: float | None = None  # when the episode was seen to be over
         self._results: Results
         self._open = ExitStack()
@@ -113,7 +122,9 @@ class DynahoiRobot(Simulated, Robot):
         info = RunInfo.begun(self.config.player, self.recipe, inference="")
         self._results = self._open.enter_context(kept_results(self.config.results_dir, info))
         self._number = self.config.seed + len(self._results.rows)
-        self._world = LiveWorld(self.recipe, self.config.task, realtime=self.config.realtime, clock=self._clock)
+        self._world = LiveWorld(
+            self.recipe, self.config.task, realtime=self.config.realtime, clock=self._clock
+        )
         self._begin()
         DynahoiRobot.connected.append(self)
 
@@ -136,10 +147,13 @@ class DynahoiRobot(Simulated, Robot):
 
         Raises:
             DeviceNotConnectedError: before ``connect``.
-            ValueError: for a missing number or one that is not finite; the hand follows the last command then.
+            ValueError: for a missing number or one that is not finite; the hand follows the last
+                command then.
         """
         if missing := [name for name in NAMES if name not in action]:
-            raise ValueError(f"an action of robot dynahoi needs {', '.join(NAMES)}, but has no {missing[0]}")
+            raise ValueError(
+                f"an action of robot dynahoi needs {', '.join(NAMES)}, but has no {missing[0]}"
+            )
         held, self._sent = action is self._sent, action
         if held and self._acted_s is None and self.config.restart_s is None:
             return action
@@ -150,12 +164,16 @@ class DynahoiRobot(Simulated, Robot):
         return action
 
     def disconnect(self) -> None:
-        """End the use of the world, and print the metrics of the episodes that were played to their end."""
+        """End the use of the world, and print the metrics of the episodes that were played to their
+        end.
+        """
         if self._world is None:
             return
         self._note_end()
         if self._acted_s is not None and self._ended_s is None:
-            logger.info("the episode breaks off in frame %d and does not count", self.world.batch.frame[0])
+            logger.info(
+                "the episode breaks off in frame %d and does not count", self.world.batch.frame[0]
+            )
         self._world = None
         DynahoiRobot.connected.remove(self)
         self._open.close()
@@ -166,7 +184,9 @@ class DynahoiRobot(Simulated, Robot):
         ended_s, restart_s = self._ended_s, self.config.restart_s
         if restart_s is not None:
             return ended_s is not None and now_s - ended_s >= restart_s
-        return self._acted_s is not None and now_s - self._acted_s > (LONG_PAUSE_S if ended_s is None else PAUSE_S)
+        return self._acted_s is not None and now_s - self._acted_s > (
+            LONG_PAUSE_S if ended_s is None else PAUSE_S
+        )
 
     def _begin(self) -> None:
         self.world.begin(self._number, self.config.player)
@@ -178,7 +198,9 @@ class DynahoiRobot(Simulated, Robot):
         self.world.catch_up()
         if (episode := self.world.finished) is not None and self._ended_s is None:
             self._ended_s = self._clock()
-            logger.info("episode over: %s; %d frames without a new action", episode.stage, self.world.missed)
+            logger.info(
+                "episode over: %s; %d frames without a new action", episode.stage, self.world.missed
+            )
             self._results = self._results.plus([episode])
             if self.config.results_dir:
                 self._results.write()

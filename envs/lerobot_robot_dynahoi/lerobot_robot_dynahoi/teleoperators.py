@@ -51,8 +51,12 @@ class _Mover(Simulated, Teleoperator):
             DeviceNotConnectedError: if this process has no connected robot of type ``dynahoi``.
         """
         if not DynahoiRobot.connected:
-            raise DeviceNotConnectedError(f"{self.name} moves robots of type dynahoi, and none is connected")
-        return dict(zip(NAMES, self._command(DynahoiRobot.connected[-1].world).tolist(), strict=True))
+            raise DeviceNotConnectedError(
+                f"{self.name} moves robots of type dynahoi, and none is connected"
+            )
+        return dict(
+            zip(NAMES, self._command(DynahoiRobot.connected[-1].world).tolist(), strict=True)
+        )
 
     def send_feedback(self, feedback: dict[str, Any]) -> None:
         """Ignore it."""
@@ -77,7 +81,8 @@ class DynahoiExpert(_Mover):
 
 
 class DynahoiBrowser(_Mover):
-    """A person at the page of ``dynahoi play``, which LeRobot's loop shows a frame at every action it asks for.
+    """A person at the page of ``dynahoi play``, which LeRobot's loop shows a frame at every action
+    it asks for.
 
     Nobody at the page, the hand stays where it is and opens.
     """
@@ -91,7 +96,9 @@ class DynahoiBrowser(_Mover):
         token = "" if config.host in LOOPBACK else secrets.token_urlsafe(16)
         self.server = PlayServer(self._show, config.host, config.port, token)
         self._player: Player | None = None
-        self._view: tuple[np.ndarray, dict[str, Any]] | None = None  # the newest image, and facts about it
+        self._view: tuple[np.ndarray, dict[str, Any]] | None = (
+            None  # the newest image, and facts about it
+        )
         self._came = Event()
 
     def connect(self, calibrate: bool = True) -> None:
@@ -103,7 +110,9 @@ class DynahoiBrowser(_Mover):
         started: Future[str] = Future()
         self._loop = asyncio.new_event_loop()
         self._serving = self._loop.create_task(self.server.run(started.set_result))
-        self._serving.add_done_callback(lambda task: started.done() or started.set_exception(task.exception()))
+        self._serving.add_done_callback(
+            lambda task: started.done() or started.set_exception(task.exception())
+        )
         self._thread = Thread(target=self._serve, daemon=True)
         self._thread.start()
         print(f"open {started.result()} to begin", flush=True)

@@ -1,4 +1,6 @@
-"""Language models that predict actions, as LeRobot policies: ``--policy.type=actiontokens`` and ``=upvla``."""
+"""Language models that predict actions, as LeRobot policies: ``--policy.type=actiontokens`` and
+``=upvla``.
+"""
 
 from importlib.metadata import version
 

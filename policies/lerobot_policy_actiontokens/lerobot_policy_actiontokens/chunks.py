@@ -18,7 +18,8 @@ class ChunkConfig(PreTrainedConfig):
     """Options of all these policies.
 
     Attributes:
-        load_weights: whether the parts start from their published weights; a checkpoint holds its own.
+        load_weights: whether the parts start from their published weights; a checkpoint holds its
+            own.
         chunk_size: actions in a predicted chunk, ``H``.
         n_action_steps: actions of a chunk that are executed before the policy replans.
         dtype: data type of the weights, "float32" or "bfloat16".
@@ -42,7 +43,8 @@ class ChunkConfig(PreTrainedConfig):
         super().__post_init__()
         if not 1 <= self.n_action_steps <= self.chunk_size:
             raise ValueError(
-                f"n_action_steps is {self.n_action_steps}, but must be 1 to {self.chunk_size} (chunk_size)."
+                f"n_action_steps is {self.n_action_steps}, but must be 1 to {self.chunk_size} "
+                f"(chunk_size)."
             )
         if self.dtype not in ("float32", "bfloat16"):
             raise ValueError(f"dtype is {self.dtype!r}, but must be float32 or bfloat16.")
@@ -69,9 +71,14 @@ class ChunkConfig(PreTrainedConfig):
             ValueError: if there is no image or no flat action.
         """
         if not self.image_features:
-            raise ValueError(f"{self.type} needs an image, but the inputs are {sorted(self.input_features or {})}.")
+            raise ValueError(
+                f"{self.type} needs an image, but the inputs are "
+                f"{sorted(self.input_features or {})}."
+            )
         if self.action_feature is None or len(self.action_feature.shape) != 1:
-            raise ValueError(f"'action' must be a flat vector, but the outputs are {self.output_features}.")
+            raise ValueError(
+                f"'action' must be a flat vector, but the outputs are {self.output_features}."
+            )
 
     def get_optimizer_preset(self) -> AdamWConfig:
         """Return AdamW with the learning rate and weight decay of the config."""
@@ -81,7 +88,8 @@ class ChunkConfig(PreTrainedConfig):
 class ChunkPolicy(PreTrainedPolicy):
     """A policy that executes ``n_action_steps`` of a chunk before it predicts the next.
 
-    A subclass implements ``forward`` and ``predict_action_chunk``, and sets its own ``config_class`` and ``name``.
+    A subclass implements ``forward`` and ``predict_action_chunk``, and sets its own
+    ``config_class`` and ``name``.
 
     Args:
         config: the policy's config, with its features filled in.
@@ -98,7 +106,9 @@ class ChunkPolicy(PreTrainedPolicy):
 
     @torch.no_grad()
     def select_action(self, batch: dict[str, Any], **kwargs: Any) -> Tensor:
-        """Return the next action, normalised, shape ``(B, A)``; predicts a new chunk when the last one is used up."""
+        """Return the next action, normalised, shape ``(B, A)``; predicts a new chunk when the last
+        one is used up.
+        """
         if not self._queue:
             chunk = self.predict_action_chunk(batch)[:, : self.config.n_action_steps]
             self._queue.extend(chunk.transpose(0, 1))
@@ -115,7 +125,9 @@ class ChunkPolicy(PreTrainedPolicy):
     @classmethod
     def from_pretrained(cls, pretrained_name_or_path: str | Path, **kwargs: Any) -> Self:
         """Open a checkpoint; its own weights replace the published ones, which are not read."""
-        config = kwargs.pop("config", None) or cls.config_class.from_pretrained(pretrained_name_or_path)
+        config = kwargs.pop("config", None) or cls.config_class.from_pretrained(
+            pretrained_name_or_path
+        )
         config.load_weights = False
         return super().from_pretrained(pretrained_name_or_path, config=config, **kwargs)
 
@@ -126,7 +138,8 @@ class ChunkPolicy(PreTrainedPolicy):
 
 
 def open_model(model_class: Any, name: str, config: ChunkConfig) -> Any:
-    """Return a `transformers` model, with its published weights if the config says so, else random ones.
+    """Return a `transformers` model, with its published weights if the config says so, else random
+    ones.
 
     Args:
         model_class: the `transformers` class that opens it, such as ``AutoModelForCausalLM``.

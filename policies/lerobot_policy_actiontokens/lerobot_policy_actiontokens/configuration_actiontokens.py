@@ -14,10 +14,10 @@ class ActionTokensConfig(ChunkConfig):
     """A vision-language model that predicts actions as tokens.
 
     Attributes:
-        vlm_name: folder or Hub name of any image-text model of `transformers` with its processor, or of an OpenVLA
-            checkpoint.
-        unnorm_key: dataset in an OpenVLA checkpoint's ``norm_stats`` whose percentiles normalise the actions; None uses
-            those of the training data.
+        vlm_name: folder or Hub name of any image-text model of `transformers` with its processor,
+            or of an OpenVLA checkpoint.
+        unnorm_key: dataset in an OpenVLA checkpoint's ``norm_stats`` whose percentiles normalise
+            the actions; None uses those of the training data.
         freeze_vision: whether the vision tower is excluded from training.
     """
 

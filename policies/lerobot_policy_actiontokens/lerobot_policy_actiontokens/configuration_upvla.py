@@ -11,10 +11,12 @@ from .chunks import ChunkConfig
 @PreTrainedConfig.register_subclass("upvla")
 @dataclass
 class UPVLAConfig(ChunkConfig):
-    """A language model over image codes that jointly predicts a future image and a chunk of actions.
+    """A language model over image codes that jointly predicts a future image and a chunk of
+    actions.
 
     Attributes:
-        llm_name: folder or Hub name of any causal language model of `transformers`, with its tokenizer.
+        llm_name: folder or Hub name of any causal language model of `transformers`, with its
+            tokenizer.
         image_tokenizer: folder or Hub name of a `diffusers` ``VQModel``, which encodes images.
         image_tokenizer_folder: its subfolder; "" for none.
         image_size: side of the square image that is encoded [px].

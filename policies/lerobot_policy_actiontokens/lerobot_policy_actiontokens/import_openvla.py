@@ -1,6 +1,7 @@
 """Convert an OpenVLA checkpoint into a LeRobot policy, to evaluate or fine-tune it.
 
-    python -m lerobot_policy_actiontokens.import_openvla CHECKPOINT --unnorm-key DATASET --out FOLDER
+    python -m lerobot_policy_actiontokens.import_openvla CHECKPOINT --unnorm-key DATASET --out
+    FOLDER
 
 The weights are copied; the checkpoint is still needed for its configuration and tokenizer.
 """
@@ -18,7 +19,9 @@ from .modeling_actiontokens import ActionTokensPolicy
 from .processor_actiontokens import action_stats, make_actiontokens_pre_post_processors
 
 
-def import_openvla(checkpoint: str, unnorm_key: str, out: Path, *, camera: str, image_size: int, dtype: str) -> None:
+def import_openvla(
+    checkpoint: str, unnorm_key: str, out: Path, *, camera: str, image_size: int, dtype: str
+) -> None:
     """Write the policy and its pre- and postprocessor to a folder.
 
     Args:
@@ -49,13 +52,19 @@ def import_openvla(checkpoint: str, unnorm_key: str, out: Path, *, camera: str, 
 
 def main() -> int:
     """Run the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("checkpoint", help="folder or Hub name, e.g. openvla/openvla-7b")
-    parser.add_argument("--unnorm-key", required=True, help="dataset in the checkpoint's norm_stats")
+    parser.add_argument(
+        "--unnorm-key", required=True, help="dataset in the checkpoint's norm_stats"
+    )
     parser.add_argument("--out", type=Path, required=True, help="folder to write")
     parser.add_argument("--camera", default="observation.images.ego", help="key of the images")
     parser.add_argument("--image-size", type=int, default=224, help="side of the images [px]")
-    parser.add_argument("--dtype", default="bfloat16", help="data type of the weights: float32 or bfloat16")
+    parser.add_argument(
+        "--dtype", default="bfloat16", help="data type of the weights: float32 or bfloat16"
+    )
     try:
         import_openvla(**vars(parser.parse_args()))
     except (OSError, ValueError) as error:

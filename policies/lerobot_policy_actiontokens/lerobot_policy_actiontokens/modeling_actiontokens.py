@@ -14,11 +14,13 @@ PROMPT = "{image}In: What action should the robot take to {instruction}?\nOut: "
 VISION = ("vision_model", "vision_tower", "vision_backbone", "visual")
 """Names of the vision tower in models of `transformers`."""
 N_BINS = 256
-"""Actions in [-1, 1] are discretised into tokens, the last ids of the vocabulary (OpenVLA, Section 3.2)."""
+"""Actions in [-1, 1] are discretised into tokens, the last ids of the vocabulary (OpenVLA, Section
+3.2)."""
 
 
 class ActionTokensPolicy(ChunkPolicy):
-    """A vision-language model that predicts each action dimension as one of 256 tokens (OpenVLA, Section 3).
+    """A vision-language model that predicts each action dimension as one of 256 tokens (OpenVLA,
+    Section 3).
 
     Args:
         config: the policy's config, with its features filled in.
@@ -39,12 +41,16 @@ class ActionTokensPolicy(ChunkPolicy):
         self.processor.tokenizer.padding_side = "left"  # actions follow the prompt without a gap
         self.vocabulary = self.processor.tokenizer.vocab_size
         if self.vocabulary <= N_BINS:
-            raise ValueError(f"{config.vlm_name} has {self.vocabulary} tokens, but must have more than {N_BINS}.")
+            raise ValueError(
+                f"{config.vlm_name} has {self.vocabulary} tokens, but must have more than {N_BINS}."
+            )
         if config.freeze_vision:
             towers = (module for name, module in self.vlm.named_modules() if name.endswith(VISION))
             next(towers).requires_grad_(False)
 
-    def forward(self, batch: dict[str, Any], reduction: str = "mean") -> tuple[Tensor, dict[str, float]]:
+    def forward(
+        self, batch: dict[str, Any], reduction: str = "mean"
+    ) -> tuple[Tensor, dict[str, float]]:
         """Return the cross-entropy of the action tokens.
 
         Args:
@@ -55,17 +61,29 @@ class ActionTokensPolicy(ChunkPolicy):
         actions = batch[ACTION].reshape(len(batch[ACTION]), self.config.chunk_size, -1)  # (B, H, A)
         action_ids = encode(actions, self.vocabulary).flatten(1)  # (B, H*A)
         mask = torch.cat([prompt["attention_mask"], torch.ones_like(action_ids)], dim=1)
-        inputs = {**prompt, "input_ids": torch.cat([prompt["input_ids"], action_ids], dim=1), "attention_mask": mask}
+        inputs = {
+            **prompt,
+            "input_ids": torch.cat([prompt["input_ids"], action_ids], dim=1),
+            "attention_mask": mask,
+        }
         logits = self.vlm(**inputs, position_ids=(mask.cumsum(1) - 1).clamp_min(0)).logits
-        logits = logits[:, -action_ids.shape[1] - 1 : -1].float()  # (B, H*A, V): each position predicts the next token
-        losses = nn.functional.cross_entropy(logits.transpose(1, 2), action_ids, reduction="none")  # (B, H*A)
-        kept = unpadded(batch, ACTION, actions[..., 0]).repeat_interleave(actions.shape[2], dim=1)  # (B, H*A)
+        logits = logits[
+            :, -action_ids.shape[1] - 1 : -1
+        ].float()  # (B, H*A, V): each position predicts the next token
+        losses = nn.functional.cross_entropy(
+            logits.transpose(1, 2), action_ids, reduction="none"
+        )  # (B, H*A)
+        kept = unpadded(batch, ACTION, actions[..., 0]).repeat_interleave(
+            actions.shape[2], dim=1
+        )  # (B, H*A)
         losses = (losses * kept).mean(1)  # (B,)
         return (losses if reduction == "none" else losses.mean()), {}
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Any], **kwargs: Any) -> Tensor:
-        """Return a chunk, normalised, shape ``(B, H, A)``, by greedy decoding constrained to action tokens."""
+        """Return a chunk, normalised, shape ``(B, H, A)``, by greedy decoding constrained to action
+        tokens.
+        """
         self.eval()
         size = self.config.action_dim
         count = self.config.chunk_size * size
@@ -82,7 +100,9 @@ class ActionTokensPolicy(ChunkPolicy):
     def _prompt(self, batch: dict[str, Any]) -> dict[str, Tensor]:
         """Return the processed inputs of the model: one image and one instruction per sample."""
         images = batch[self.camera]  # (B, 3, H, W) in [0, 1]
-        images_uint8 = [[image] for image in (images.clamp(0, 1) * 255).round().to(torch.uint8).cpu()]
+        images_uint8 = [
+            [image] for image in (images.clamp(0, 1) * 255).round().to(torch.uint8).cpu()
+        ]
         token = str(getattr(self.processor, "image_token", "<image>"))
         texts = [
             PROMPT.format(image=token, instruction=task.rstrip(".").lower())
@@ -100,7 +120,9 @@ def encode(values: Tensor, vocabulary: int) -> Tensor:
         values: normalised actions, any shape.
         vocabulary: number of tokens of the tokenizer; the ids count down from it.
     """
-    return vocabulary - torch.bucketize(values.float().clamp(-1, 1), _edges(values.device), right=True)
+    return vocabulary - torch.bucketize(
+        values.float().clamp(-1, 1), _edges(values.device), right=True
+    )
 
 
 def decode(ids: Tensor, vocabulary: int) -> Tensor:

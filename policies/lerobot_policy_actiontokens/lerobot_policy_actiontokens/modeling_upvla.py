@@ -1,4 +1,6 @@
-"""UP-VLA-style policy: a future image and a chunk of actions from an image and an instruction, in one pass."""
+"""UP-VLA-style policy: a future image and a chunk of actions from an image and an instruction, in
+one pass.
+"""
 
 from typing import Any, Self, cast
 
@@ -12,11 +14,13 @@ from .chunks import ChunkPolicy, instructions, open_model, unpadded
 from .configuration_upvla import UPVLAConfig
 
 START_OF_TASK, START_OF_IMAGE, END_OF_IMAGE, ACT, FIRST_CODE = range(5)
-"""Token ids, counted from the end of the language model's own words: four markers, then the image codes."""
+"""Token ids, counted from the end of the language model's own words: four markers, then the image
+codes."""
 
 
 class UPVLAPolicy(ChunkPolicy):
-    """A language model that jointly predicts a future image and a chunk of actions (UP-VLA, Zhang et al., 2025).
+    """A language model that jointly predicts a future image and a chunk of actions (UP-VLA, Zhang
+    et al., 2025).
 
     Args:
         config: the policy's config, with its features filled in.
@@ -33,14 +37,18 @@ class UPVLAPolicy(ChunkPolicy):
         self.llm = open_model(AutoModelForCausalLM, config.llm_name, config)
         self.n_words = self.llm.get_input_embeddings().num_embeddings
         size = self.n_words + FIRST_CODE + self.images.n_codes
-        self.llm.resize_token_embeddings(size, mean_resizing=False)  # random: equal codes would stay equal
+        self.llm.resize_token_embeddings(
+            size, mean_resizing=False
+        )  # random: equal codes would stay equal
         self.tokenizer = AutoTokenizer.from_pretrained(config.llm_name, padding_side="left")
         self.tokenizer.pad_token = self.tokenizer.pad_token or self.tokenizer.eos_token
         width = self.llm.config.hidden_size
         self.pooling = AttentionPooling(width, config.n_heads)
         self.to_actions = nn.Linear(width, config.chunk_size * config.action_dim)
 
-    def forward(self, batch: dict[str, Any], reduction: str = "mean") -> tuple[Tensor, dict[str, float]]:
+    def forward(
+        self, batch: dict[str, Any], reduction: str = "mean"
+    ) -> tuple[Tensor, dict[str, float]]:
         """Return the weighted sum of the image's cross-entropy and the actions' squared error.
 
         Args:
@@ -50,8 +58,12 @@ class UPVLAPolicy(ChunkPolicy):
         current, future = batch[self.camera].unbind(1)  # (B, 3, H, W) each
         logits, actions = self._run(current, batch)
         codes = self.images.encode(future) + self.n_words + FIRST_CODE  # (B, N)
-        prediction = nn.functional.cross_entropy(logits.transpose(1, 2).float(), codes, reduction="none").mean(1)
-        prediction = prediction * unpadded(batch, self.camera, future.new_ones(len(future), 2))[:, 1]  # (B,)
+        prediction = nn.functional.cross_entropy(
+            logits.transpose(1, 2).float(), codes, reduction="none"
+        ).mean(1)
+        prediction = (
+            prediction * unpadded(batch, self.camera, future.new_ones(len(future), 2))[:, 1]
+        )  # (B,)
         errors = (actions - batch[ACTION].reshape(actions.shape)).square().mean(2)  # (B, H)
         action = (errors * unpadded(batch, ACTION, errors)).mean(1)  # (B,)
         losses = self.config.prediction_weight * prediction + self.config.action_weight * action
@@ -72,7 +84,9 @@ class UPVLAPolicy(ChunkPolicy):
         return self.images.decode(logits[..., self.n_words + FIRST_CODE :].argmax(-1))
 
     def _run(self, images: Tensor, batch: dict[str, Any]) -> tuple[Tensor, Tensor]:
-        """Return the logits of the codes of the future image ``(B, N, V)``, and the actions ``(B, H, A)``."""
+        """Return the logits of the codes of the future image ``(B, N, V)``, and the actions ``(B,
+        H, A)``.
+        """
         begin, end = self.tokenizer.bos_token or "", self.tokenizer.eos_token
         texts = [begin + task + end for task in instructions(batch, len(images))]
         words = self.tokenizer(texts, padding=True, return_tensors="pt").to(images.device)
@@ -82,7 +96,9 @@ class UPVLAPolicy(ChunkPolicy):
         )
         hidden = self.llm.base_model(
             ids,
-            attention_mask=torch.where(mask, 0.0, torch.finfo(self.llm.dtype).min).to(self.llm.dtype),
+            attention_mask=torch.where(mask, 0.0, torch.finfo(self.llm.dtype).min).to(
+                self.llm.dtype
+            ),
             position_ids=positions,
         ).last_hidden_state  # (B, L, D)
         actions = self.to_actions(self.pooling(hidden[:, in_actions].float()))  # (B, H * A)
@@ -95,8 +111,8 @@ def lay_out(
 ) -> tuple[Tensor, Tensor, Tensor, slice, slice]:
     """Return the sequence [task, words, image, codes, end of image, actions] (UP-VLA, Section 3).
 
-    Attention of words and actions is causal; that of the image is bidirectional over the whole sequence. The output at
-    each code predicts the code at the same place of the future image.
+    Attention of words and actions is causal; that of the image is bidirectional over the whole
+    sequence. The output at each code predicts the code at the same place of the future image.
 
     Args:
         words: token ids of the instruction, ``(B, W)`` int64, padded on the left.
@@ -106,8 +122,9 @@ def lay_out(
         n_words: rows of the language model's original embeddings.
 
     Returns:
-        Token ids ``(B, L)`` int64; attention mask ``(B, 1, queries, keys)`` bool, True where a query attends to a key;
-        position ids ``(B, L)`` int64, counted without padding; and where the image codes and the placeholders are.
+        Token ids ``(B, L)`` int64; attention mask ``(B, 1, queries, keys)`` bool, True where a
+        query attends to a key; position ids ``(B, L)`` int64, counted without padding; and where
+        the image codes and the placeholders are.
     """
     n, (width, n_codes) = len(words), (words.shape[1], codes.shape[1])
     mark = torch.full_like(words[:, :1], n_words)
@@ -134,7 +151,9 @@ def _image_tokenizer(config: UPVLAConfig) -> VQModel:
     name, folder = config.image_tokenizer, config.image_tokenizer_folder or None
     if config.load_weights:
         return VQModel.from_pretrained(name, subfolder=folder)
-    return cast(VQModel, VQModel.from_config(cast(dict, VQModel.load_config(name, subfolder=folder))))
+    return cast(
+        VQModel, VQModel.from_config(cast(dict, VQModel.load_config(name, subfolder=folder)))
+    )
 
 
 class ImageCodes(nn.Module):
@@ -162,7 +181,9 @@ class ImageCodes(nn.Module):
 
     @torch.no_grad()
     def encode(self, images: Tensor) -> Tensor:
-        """Encode images ``(B, 3, H, W)`` in [0, 1] as codes ``(B, side * side)`` int64, row by row."""
+        """Encode images ``(B, 3, H, W)`` in [0, 1] as codes ``(B, side * side)`` int64, row by
+        row.
+        """
         size = (self.image_size, self.image_size)
         images = nn.functional.interpolate(images, size, mode="bicubic", antialias=True).clamp(0, 1)
         latents = self.model.encode(images.to(self.model.dtype)).latents
@@ -170,7 +191,9 @@ class ImageCodes(nn.Module):
 
     @torch.no_grad()
     def decode(self, codes: Tensor) -> Tensor:
-        """Decode codes ``(B, side * side)`` to images ``(B, 3, image_size, image_size)`` in [0, 1]."""
+        """Decode codes ``(B, side * side)`` to images ``(B, 3, image_size, image_size)`` in [0,
+        1].
+        """
         entries = self.model.quantize.embedding(codes)  # (B, side * side, C)
         latents = entries.transpose(1, 2).unflatten(2, (self.side, self.side))
         spatial = latents if self.model.config["norm_type"] == "spatial" else None
@@ -178,8 +201,8 @@ class ImageCodes(nn.Module):
 
 
 class AttentionPooling(nn.Module):
-    """Many tokens to one vector: a learned query attends to all (Lee et al., 2019, Set Transformer), then
-    a gated feed-forward layer (Shazeer, 2020).
+    """Many tokens to one vector: a learned query attends to all (Lee et al., 2019, Set
+    Transformer), then a gated feed-forward layer (Shazeer, 2020).
 
     Args:
         width: size of the tokens.
@@ -196,5 +219,7 @@ class AttentionPooling(nn.Module):
     def forward(self, tokens: Tensor) -> Tensor:
         """Map tokens ``(B, N, width)`` to a vector ``(B, width)``."""
         query = self.query.expand(len(tokens), -1, -1)
-        pooled = self.attention_norm(query + self.attention(query, tokens, tokens, need_weights=False)[0])
+        pooled = self.attention_norm(
+            query + self.attention(query, tokens, tokens, need_weights=False)[0]
+        )
         return self.mlp_norm(pooled + self.out(nn.functional.glu(self.gated(pooled))))[:, 0]

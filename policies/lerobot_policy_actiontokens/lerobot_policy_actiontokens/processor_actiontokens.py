@@ -1,4 +1,6 @@
-"""Pre- and postprocessing: LeRobot's defaults, which map the 1st and 99th percentile of actions to -1 and 1."""
+"""Pre- and postprocessing: LeRobot's defaults, which map the 1st and 99th percentile of actions to
+-1 and 1.
+"""
 
 from typing import Any
 
@@ -23,12 +25,15 @@ def make_actiontokens_pre_post_processors(
         ValueError: if ``config.unnorm_key`` is not in the checkpoint.
     """
     if config.unnorm_key is not None:
-        dataset_stats = (dataset_stats or {}) | {ACTION: action_stats(config.vlm_name, config.unnorm_key)}
+        dataset_stats = (dataset_stats or {}) | {
+            ACTION: action_stats(config.vlm_name, config.unnorm_key)
+        }
     return make_default_pre_post_processors(config, dataset_stats)
 
 
 def action_stats(vlm_name: str, key: str) -> dict[str, torch.Tensor]:
-    """Return the percentiles by which an OpenVLA checkpoint normalised the actions of the dataset ``key``.
+    """Return the percentiles by which an OpenVLA checkpoint normalised the actions of the dataset
+    ``key``.
 
     Dimensions that its mask excludes were not normalised: their percentiles are -1 and 1.
 
@@ -44,7 +49,10 @@ def action_stats(vlm_name: str, key: str) -> dict[str, torch.Tensor]:
     """
     known = getattr(AutoConfig.from_pretrained(vlm_name), "norm_stats", None) or {}
     if key not in known:
-        raise ValueError(f"unnorm_key is {key!r}, but {vlm_name} has {', '.join(sorted(known)) or 'no norm_stats'}.")
+        raise ValueError(
+            f"unnorm_key is {key!r}, but {vlm_name} has "
+            f"{', '.join(sorted(known)) or 'no norm_stats'}."
+        )
     stats = known[key]["action"]
     low, high = (torch.tensor(stats[name], dtype=torch.float32) for name in ("q01", "q99"))
     normalised = torch.tensor(stats.get("mask", [True] * len(low)))

@@ -1,7 +1,9 @@
-"""The two attentions of ObAct: in space over the cells of an image, in time over the frames observed so far.
+"""The two attentions of ObAct: in space over the cells of an image, in time over the frames
+observed so far.
 
-Both have positions among their values: `SpatialAttention` averages viewing rays, `PositionReadout` averages the
-positions sighted in earlier frames. `TemporalBlock` is an ordinary causal transformer block with a bias by age.
+Both have positions among their values: `SpatialAttention` averages viewing rays, `PositionReadout`
+averages the positions sighted in earlier frames. `TemporalBlock` is an ordinary causal transformer
+block with a bias by age.
 """
 
 import torch
@@ -15,10 +17,11 @@ MEMORY_FRAMES = 200  # so many frames are remembered, ten seconds
 
 
 class SpatialAttention(nn.Module):
-    """Where in the image: a learned query attends to cells of ``dim`` features, whose values are their viewing rays.
+    """Where in the image: a learned query attends to cells of ``dim`` features, whose values are
+    their viewing rays.
 
-    A mean over the whole map would look between two things that may be the target, so only ``reach`` cells on each side
-    of the peak count.
+    A mean over the whole map would look between two things that may be the target, so only
+    ``reach`` cells on each side of the peak count.
     """
 
     def __init__(self, dim: int, reach: int = 2) -> None:
@@ -26,8 +29,9 @@ class SpatialAttention(nn.Module):
         self.query, self.reach = nn.Linear(dim, 1), reach
 
     def forward(self, cells: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Attend to cells ``(F, h, w, D)``, rows downwards. Return the ray (u to the right, v upwards, the image spans
-        -1 to 1), ``(F, 2)``; the features there, ``(F, D)``; and the log attention, not cut to the peak, ``(F, h, w)``.
+        """Attend to cells ``(F, h, w, D)``, rows downwards. Return the ray (u to the right, v
+        upwards, the image spans -1 to 1), ``(F, 2)``; the features there, ``(F, D)``; and the log
+        attention, not cut to the peak, ``(F, h, w)``.
         """
         h, w = cells.shape[1:3]
         rays, flat = cell_rays(h, w, cells.device), rearrange(cells, "f h w d -> f (h w) d")
@@ -36,18 +40,25 @@ class SpatialAttention(nn.Module):
         far = ((rays - rays[heat.argmax(-1)][:, None]).abs() > (self.reach + 0.5) * size).any(-1)
         weights = heat.masked_fill(far, float("-inf")).softmax(-1)
         ray = einsum(weights, rays.to(weights.dtype), "f n, n i -> f i")
-        return ray, einsum(weights, flat, "f n, f n d -> f d"), rearrange(heat, "f (h w) -> f h w", h=h)
+        return (
+            ray,
+            einsum(weights, flat, "f n, f n d -> f d"),
+            rearrange(heat, "f (h w) -> f h w", h=h),
+        )
 
 
 def cell_rays(height: int, width: int, device: torch.device) -> Tensor:
-    """Return the (u, v) of the cells' centres, row by row from the top, shape ``(height * width, 2)``."""
+    """Return the (u, v) of the cells' centres, row by row from the top, shape ``(height * width,
+    2)``.
+    """
     u = (torch.arange(width, device=device) + 0.5) / width * 2 - 1
     v = 1 - (torch.arange(height, device=device) + 0.5) / height * 2
     return rearrange(torch.stack(torch.meshgrid(u, v, indexing="xy"), dim=-1), "h w i -> (h w) i")
 
 
 class Memory:
-    """What attention keeps of the frames before, so that frames may come a few at a time; without gradients.
+    """What attention keeps of the frames before, so that frames may come a few at a time; without
+    gradients.
 
     If fewer rows of the batch come than before, the last ones are over.
     """
@@ -56,7 +67,9 @@ class Memory:
         self._kept: dict[object, Tensor] = {}
 
     def extended(self, owner: object, new: Tensor, dim: int = 1) -> Tensor:
-        """Return what is remembered for ``owner`` and, along ``dim``, what is new, which is remembered too."""
+        """Return what is remembered for ``owner`` and, along ``dim``, what is new, which is
+        remembered too.
+        """
         if owner in self._kept:
             kept = self._kept[owner][: len(new)]
             n = min(kept.shape[dim], MEMORY_FRAMES)
@@ -70,7 +83,9 @@ class Memory:
 
 
 class AgeBias(nn.Module):
-    """A bias on the attention logits of each head by the age of a frame; minus infinity for frames that lie ahead."""
+    """A bias on the attention logits of each head by the age of a frame; minus infinity for frames
+    that lie ahead.
+    """
 
     def __init__(self, n_heads: int) -> None:
         super().__init__()
@@ -81,37 +96,57 @@ class AgeBias(nn.Module):
         place = (age_s / AGE_STEP_S).clamp(0, N_AGES - 1)
         younger = place.floor().long().clamp_max(N_AGES - 2)
         between = (place - younger)[..., None]  # linear interpolation
-        near, far = (nn.functional.embedding(index, self.table.T) for index in (younger, younger + 1))
+        near, far = (
+            nn.functional.embedding(index, self.table.T) for index in (younger, younger + 1)
+        )
         bias = rearrange(torch.lerp(near, far, between), "q k heads -> heads q k")
         return bias.masked_fill(age_s < -AGE_STEP_S / 2, float("-inf"))
 
 
 class TemporalBlock(nn.Module):
-    """Causal self-attention over frames and a perceptron, each after a normalisation; tokens are of size ``dim``."""
+    """Causal self-attention over frames and a perceptron, each after a normalisation; tokens are of
+    size ``dim``.
+    """
 
     def __init__(self, dim: int, n_heads: int) -> None:
         super().__init__()
         self.n_heads = n_heads
         self.norm_1, self.norm_2 = nn.LayerNorm(dim), nn.LayerNorm(dim)
-        self.qkv, self.out, self.bias = nn.Linear(dim, 3 * dim), nn.Linear(dim, dim), AgeBias(n_heads)
+        self.qkv, self.out, self.bias = (
+            nn.Linear(dim, 3 * dim),
+            nn.Linear(dim, dim),
+            AgeBias(n_heads),
+        )
         self.mlp = nn.Sequential(nn.Linear(dim, 2 * dim), nn.GELU(), nn.Linear(2 * dim, dim))
 
     def forward(self, tokens: Tensor, age_s: Tensor, memory: Memory) -> Tensor:
-        """Map tokens of T new frames ``(B, T, D)`` to tokens; their ages since all frames are ``(T, S)``."""
-        q, k, v = rearrange(self.qkv(self.norm_1(tokens)), "b t (n h d) -> n b h t d", n=3, h=self.n_heads)
+        """Map tokens of T new frames ``(B, T, D)`` to tokens; their ages since all frames are ``(T,
+        S)``.
+        """
+        q, k, v = rearrange(
+            self.qkv(self.norm_1(tokens)), "b t (n h d) -> n b h t d", n=3, h=self.n_heads
+        )
         k, v = memory.extended((self, "k"), k, dim=2), memory.extended((self, "v"), v, dim=2)
-        mixed = nn.functional.scaled_dot_product_attention(q, k, v, attn_mask=self.bias(age_s).to(q.dtype))
+        mixed = nn.functional.scaled_dot_product_attention(
+            q, k, v, attn_mask=self.bias(age_s).to(q.dtype)
+        )
         tokens = tokens + self.out(rearrange(mixed, "b h t d -> b t (h d)"))
         return tokens + self.mlp(self.norm_2(tokens))
 
 
 class PositionReadout(nn.Module):
-    """Attentions of a decision over the frames before it, whose values are the positions sighted there."""
+    """Attentions of a decision over the frames before it, whose values are the positions sighted
+    there.
+    """
 
     def __init__(self, dim: int, n_points: int) -> None:
         super().__init__()
         self.n_points = n_points
-        self.query, self.key, self.bias = nn.Linear(dim, n_points * KEY_DIM), nn.Linear(dim, KEY_DIM), AgeBias(n_points)
+        self.query, self.key, self.bias = (
+            nn.Linear(dim, n_points * KEY_DIM),
+            nn.Linear(dim, KEY_DIM),
+            AgeBias(n_points),
+        )
         with torch.no_grad():  # each begins by looking at an age of its own
             table = self.bias.table
             ages = torch.linspace(0, 24, n_points, device=table.device)
@@ -120,15 +155,26 @@ class PositionReadout(nn.Module):
     def forward(
         self, tokens: Tensor, positions: Tensor, age_s: Tensor, rows: Tensor, memory: Memory
     ) -> tuple[Tensor, Tensor]:
-        """Return positions ``(B, Q, J, 3)`` [m], and the weights of the frames in them, ``(B, Q, J, S)``.
+        """Return positions ``(B, Q, J, 3)`` [m], and the weights of the frames in them, ``(B, Q, J,
+        S)``.
 
-        There are tokens ``(B, T, D)`` of T new frames, positions ``(B, T, 3)`` [m] sighted in them, and their ages
-        ``(T, S)`` [s] since all S frames; decisions are taken at the new frames ``rows``, ``(B, Q)``.
+        There are tokens ``(B, T, D)`` of T new frames, positions ``(B, T, 3)`` [m] sighted in them,
+        and their ages ``(T, S)`` [s] since all S frames; decisions are taken at the new frames
+        ``rows``, ``(B, Q)``.
         """
-        keys, positions = memory.extended(self, self.key(tokens)), memory.extended("positions", positions)
+        keys, positions = (
+            memory.extended(self, self.key(tokens)),
+            memory.extended("positions", positions),
+        )
         chosen = repeat(rows, "b q -> b q d", d=tokens.shape[-1])
-        queries = rearrange(self.query(tokens.gather(1, chosen)), "b q (j d) -> b q j d", j=self.n_points)
-        bias = rearrange(self.bias(age_s), "j t s -> t j s").index_select(0, rows.flatten()).unflatten(0, rows.shape)
+        queries = rearrange(
+            self.query(tokens.gather(1, chosen)), "b q (j d) -> b q j d", j=self.n_points
+        )
+        bias = (
+            rearrange(self.bias(age_s), "j t s -> t j s")
+            .index_select(0, rows.flatten())
+            .unflatten(0, rows.shape)
+        )
         logits = einsum(queries, keys, "b q j d, b s d -> b q j s") / KEY_DIM**0.5
         weights = (logits + bias).softmax(-1)
         return einsum(weights, positions, "b q j s, b s i -> b q j i"), weights

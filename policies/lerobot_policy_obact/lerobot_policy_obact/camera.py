@@ -7,13 +7,16 @@ import torch
 from torch import Tensor, nn
 
 NEAREST_M = 0.01  # what is behind a camera counts as this far in front of it
-UNIT_PER_DISTANCE = 1.5  # depth whose logarithm counts as 0, in distances of the camera from the palm at home
+UNIT_PER_DISTANCE = (
+    1.5  # depth whose logarithm counts as 0, in distances of the camera from the palm at home
+)
 
 
 class Pinhole(nn.Module):
     """A calibrated camera with square images.
 
-    ``(u, v)`` span -1 to 1, to the right and upwards; the log depth is along the camera's axis, 0 at ``unit_m``.
+    ``(u, v)`` span -1 to 1, to the right and upwards; the log depth is along the camera's axis, 0
+    at ``unit_m``.
 
     Args:
         pos_m: its position from the palm, or, if it stands still, from where the palm waits [m].
@@ -25,7 +28,9 @@ class Pinhole(nn.Module):
     pos: Tensor
     axes: Tensor
 
-    def __init__(self, pos_m: list[float], axes: list[list[float]], half_view: float, *, carried: bool) -> None:
+    def __init__(
+        self, pos_m: list[float], axes: list[list[float]], half_view: float, *, carried: bool
+    ) -> None:
         super().__init__()
         self.half_view, self.carried = half_view, carried
         self.unit_m = UNIT_PER_DISTANCE * math.hypot(*pos_m) or 1.0
@@ -34,7 +39,9 @@ class Pinhole(nn.Module):
 
     @classmethod
     def from_pose(cls, pose: list[float], half_view: float, *, carried: bool) -> Self:
-        """Return the camera of a pose, position [m] and quaternion wxyz, that looks along its -z with y up."""
+        """Return the camera of a pose, position [m] and quaternion wxyz, that looks along its -z
+        with y up.
+        """
         w, x, y, z = pose[3:]
         right = [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)]
         up = [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)]
@@ -42,7 +49,9 @@ class Pinhole(nn.Module):
         return cls(list(pose[:3]), [right, up, forward], half_view, carried=carried)
 
     def origin(self, palm: Tensor) -> Tensor:
-        """Return what positions count from when the palm is at ``(..., 3)`` [m], in the frame of the state."""
+        """Return what positions count from when the palm is at ``(..., 3)`` [m], in the frame of
+        the state.
+        """
         return palm if self.carried else torch.zeros_like(palm)
 
     def place(self, seen: Tensor) -> Tensor:
@@ -55,4 +64,6 @@ class Pinhole(nn.Module):
         """Invert `place`."""
         local = (place - self.pos) @ self.axes.T
         depth = local[..., 2:].clamp_min(NEAREST_M)
-        return torch.cat([local[..., :2] / (depth * self.half_view), (depth / self.unit_m).log()], dim=-1)
+        return torch.cat(
+            [local[..., :2] / (depth * self.half_view), (depth / self.unit_m).log()], dim=-1
+        )

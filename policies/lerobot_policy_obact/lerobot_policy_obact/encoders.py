@@ -2,11 +2,12 @@
 
     cells      a grid of features, by whatever network
     attention  over the cells, whose values are viewing rays (`SpatialAttention`)
-    sighting   (u, v, log depth) in the camera's frame, and log scales of the errors across and along the line of sight
+    sighting   (u, v, log depth) in the camera's frame, and log scales of the errors across and
+    along the line of sight
 
-The default, the eye, looks twice: attention over the whole image finds the target, and a fovea, the pixels around it,
-refines the direction and estimates the distance. The change since the image before shows what moves. Errors are taken
-to be Laplace distributed.
+The default, the eye, looks twice: attention over the whole image finds the target, and a fovea, the
+pixels around it, refines the direction and estimates the distance. The change since the image
+before shows what moves. Errors are taken to be Laplace distributed.
 """
 
 import math
@@ -22,12 +23,14 @@ from torch import Tensor, nn
 from .attention import SpatialAttention
 
 N_SIGHTING = 5
-"""Numbers of a sighting: u, v, log depth, and the log scales of the errors across and along the line of sight."""
+"""Numbers of a sighting: u, v, log depth, and the log scales of the errors across and along the
+line of sight."""
 UNSEEN_SCALE = 5.0  # both log scales of a sighting in a black image, which shows nothing
 
 
 class Encoder(nn.Module):
-    """Cells of a grid, and what is seen at the place that the attention finds; a subclass says what the `cells` are.
+    """Cells of a grid, and what is seen at the place that the attention finds; a subclass says what
+    the `cells` are.
 
     Args:
         dim: features of a cell.
@@ -35,14 +38,20 @@ class Encoder(nn.Module):
         mean, std: by channel, of the images that the weights expect.
     """
 
-    sees_motion: ClassVar[bool] = False  # whether it takes each image together with the one before, ``(F, 6, H, W)``
+    sees_motion: ClassVar[bool] = (
+        False  # whether it takes each image together with the one before, ``(F, 6, H, W)``
+    )
     pixel_mean: Tensor
     pixel_std: Tensor
 
-    def __init__(self, dim: int, embedding: int, mean: Any = (0.5, 0.5, 0.5), std: Any = (0.25, 0.25, 0.25)) -> None:
+    def __init__(
+        self, dim: int, embedding: int, mean: Any = (0.5, 0.5, 0.5), std: Any = (0.25, 0.25, 0.25)
+    ) -> None:
         super().__init__()
         self.embedding, self.attention = embedding, SpatialAttention(dim)
-        self.read = nn.Sequential(nn.Linear(2 * dim + 2, 128), nn.SiLU(), nn.Linear(128, N_SIGHTING + embedding))
+        self.read = nn.Sequential(
+            nn.Linear(2 * dim + 2, 128), nn.SiLU(), nn.Linear(128, N_SIGHTING + embedding)
+        )
         self.register_buffer("pixel_mean", torch.tensor(mean).view(-1, 1, 1), persistent=False)
         self.register_buffer("pixel_std", torch.tensor(std).view(-1, 1, 1), persistent=False)
 
@@ -51,15 +60,17 @@ class Encoder(nn.Module):
         return (images - self.pixel_mean) / self.pixel_std
 
     def load_pretrained(self) -> None:
-        """Load the weights that the options name; called when training starts, not when a checkpoint is opened."""
+        """Load the weights that the options name; called when training starts, not when a
+        checkpoint is opened.
+        """
 
     def cells(self, images: Tensor) -> Tensor:
         """Return features ``(F, h, w, D)`` of images ``(F, 3, H, W)`` in [0, 1]."""
         raise NotImplementedError
 
     def forward(self, images: Tensor) -> Tensor:
-        """Return sightings and embeddings, ``(F, 5 + embedding)``, of images ``(F, 3, H, W)``, RGB in [0, 1], or
-        ``(F, 6, H, W)``, with those before, if it ``sees_motion``.
+        """Return sightings and embeddings, ``(F, 5 + embedding)``, of images ``(F, 3, H, W)``, RGB
+        in [0, 1], or ``(F, 6, H, W)``, with those before, if it ``sees_motion``.
         """
         return self.look(images)[0]
 
@@ -76,9 +87,15 @@ class Encoder(nn.Module):
         return torch.cat([ray + shift_unit * shift, log_depth, scales, embedding], dim=-1)
 
 
-SHIPPED = {name: Path(__file__).with_name(f"eye_{name}.safetensors") for name in ("ego_96", "side_96")}
-"""The eyes that come with the package, by view and side of the images that they have learned from [px]."""
-PIXEL_MEAN, PIXEL_STD = (0.5, 0.5, 0.5, 0.25, 0.0, 0.0, 0.0), (0.25, 0.25, 0.25, 0.25, 0.1, 0.1, 0.1)
+SHIPPED = {
+    name: Path(__file__).with_name(f"eye_{name}.safetensors") for name in ("ego_96", "side_96")
+}
+"""The eyes that come with the package, by view and side of the images that they have learned from
+[px]."""
+PIXEL_MEAN, PIXEL_STD = (
+    (0.5, 0.5, 0.5, 0.25, 0.0, 0.0, 0.0),
+    (0.25, 0.25, 0.25, 0.25, 0.1, 0.1, 0.1),
+)
 """Of RGB, saturation, and the change of RGB since the image before."""
 
 
@@ -89,18 +106,22 @@ class Eye(Encoder):
         embedding: see `Encoder`.
         channels: channels of the glance at 1/4 resolution, a multiple of 8; twice as many at 1/8.
         fovea: side of the fovea [px].
-        weights: safetensors file to start from, as `dynahoi pretrain` writes it, or the name of one that ships, see
-            `SHIPPED`; empty for random weights.
+        weights: safetensors file to start from, as `dynahoi pretrain` writes it, or the name of one
+            that ships, see `SHIPPED`; empty for random weights.
     """
 
     sees_motion = True
 
-    def __init__(self, embedding: int = 0, *, channels: int = 32, fovea: int = 20, weights: str = "") -> None:
+    def __init__(
+        self, embedding: int = 0, *, channels: int = 32, fovea: int = 20, weights: str = ""
+    ) -> None:
         super().__init__(channels, embedding, PIXEL_MEAN, PIXEL_STD)
         self.weights, self.fovea = weights, fovea
         self.patches = nn.Conv2d(len(PIXEL_MEAN), channels, kernel_size=4, stride=4)
         self.refine = conv(channels, channels)
-        self.deep = nn.Sequential(conv(channels, 2 * channels, stride=2), conv(2 * channels, 2 * channels))
+        self.deep = nn.Sequential(
+            conv(channels, 2 * channels, stride=2), conv(2 * channels, 2 * channels)
+        )
         self.lateral = nn.Conv2d(2 * channels, channels, kernel_size=1)
         self.merge = conv(channels, channels)
         self.foveal = nn.Sequential(
@@ -108,7 +129,9 @@ class Eye(Encoder):
             nn.Linear(64 * math.ceil(fovea / 4) ** 2, 128), nn.SiLU(),
         )  # fmt: skip
         self.read = nn.Sequential(
-            nn.Linear(128 + 3 * channels + 2, 128), nn.SiLU(), nn.Linear(128, N_SIGHTING + embedding)
+            nn.Linear(128 + 3 * channels + 2, 128),
+            nn.SiLU(),
+            nn.Linear(128, N_SIGHTING + embedding),
         )
 
     def load_pretrained(self) -> None:
@@ -120,25 +143,38 @@ class Eye(Encoder):
         """See `Encoder.look`."""
         now, before = images[:, :3], images[:, -3:]
         saturation = now.amax(1, keepdim=True) - now.amin(1, keepdim=True)
-        pixels = torch.cat([now, saturation, now - before], dim=1).contiguous(memory_format=torch.channels_last)
-        weight = self.patches.weight / self.pixel_std  # `standardise` folded into the weights of the first layer
+        pixels = torch.cat([now, saturation, now - before], dim=1).contiguous(
+            memory_format=torch.channels_last
+        )
+        weight = (
+            self.patches.weight / self.pixel_std
+        )  # `standardise` folded into the weights of the first layer
         shift = reduce(weight * self.pixel_mean, "o i y x -> o", "sum")
         assert self.patches.bias is not None
-        fine = self.refine(F.conv2d(pixels, weight, self.patches.bias - shift, stride=4))  # (F, C, H/4, W/4)
+        fine = self.refine(
+            F.conv2d(pixels, weight, self.patches.bias - shift, stride=4)
+        )  # (F, C, H/4, W/4)
         deep = self.deep(fine)
         fine = self.merge(fine + F.interpolate(self.lateral(deep), size=fine.shape[-2:]))
         ray, there, heat = self.attention(rearrange(fine, "f c h w -> f h w c"))
         seen = self.foveal(self._crop(pixels, ray.detach()))
-        read = self.read(torch.cat([seen, there, reduce(deep, "f c h w -> f c", "mean"), ray], dim=-1))
+        read = self.read(
+            torch.cat([seen, there, reduce(deep, "f c h w -> f c", "mean"), ray], dim=-1)
+        )
         return self._sighting(images, ray, read, self.fovea / images.shape[-1]), heat
 
     def _crop(self, pixels: Tensor, ray: Tensor) -> Tensor:
         """Cut squares of ``fovea`` pixels around rays ``(F, 2)``, standardised."""
         steps = torch.linspace(-1, 1, self.fovea, device=pixels.device) * (self.fovea - 1)
         height, width = pixels.shape[-2:]
-        x, y = ray[:, :1] + steps / width, -ray[:, 1:] + steps / height  # (F, fovea) each, in image coordinates
+        x, y = (
+            ray[:, :1] + steps / width,
+            -ray[:, 1:] + steps / height,
+        )  # (F, fovea) each, in image coordinates
         grid = torch.stack(torch.broadcast_tensors(x[:, None, :], y[:, :, None]), dim=-1)
-        return self.standardise(F.grid_sample(pixels, grid, padding_mode="border", align_corners=False))
+        return self.standardise(
+            F.grid_sample(pixels, grid, padding_mode="border", align_corners=False)
+        )
 
 
 class Conv(Encoder):
@@ -167,8 +203,8 @@ class TransformersVision(Encoder):
 
     Args:
         embedding: see `Encoder`.
-        name: Hub name or folder; its ``config.json`` is needed whenever the policy is opened, its weights only when
-            training starts.
+        name: Hub name or folder; its ``config.json`` is needed whenever the policy is opened, its
+            weights only when training starts.
     """
 
     def __init__(self, embedding: int = 64, *, name: str = "facebook/dinov2-small") -> None:
@@ -181,7 +217,9 @@ class TransformersVision(Encoder):
         super().__init__(dim, embedding, settings["image_mean"], settings["image_std"])
         self.name, self.input_px = name, getattr(vision, "image_size", None)
         model = AutoModel.from_config(config)
-        self.tower = getattr(model, "vision_model", model)  # of a model that also reads text, the image side
+        self.tower = getattr(
+            model, "vision_model", model
+        )  # of a model that also reads text, the image side
 
     def load_pretrained(self) -> None:
         """Load the tower's published weights."""
@@ -193,7 +231,9 @@ class TransformersVision(Encoder):
     def cells(self, images: Tensor) -> Tensor:
         """See `Encoder.cells`; class tokens are left out."""
         if self.input_px:
-            images = F.interpolate(images, (self.input_px,) * 2, mode="bilinear", align_corners=False)
+            images = F.interpolate(
+                images, (self.input_px,) * 2, mode="bilinear", align_corners=False
+            )
         features = self.tower(pixel_values=self.standardise(images)).last_hidden_state
         if features.dim() == 4:
             return rearrange(features, "f d h w -> f h w d")
@@ -205,7 +245,9 @@ ENCODERS: dict[str, type[Encoder]] = {"eye": Eye, "conv": Conv, "transformers": 
 
 
 def conv(n_in: int, n_out: int, stride: int = 1) -> nn.Sequential:
-    """Return a 3 x 3 convolution with normalisation by groups of eight channels, and its activation."""
+    """Return a 3 x 3 convolution with normalisation by groups of eight channels, and its
+    activation.
+    """
     return nn.Sequential(
         nn.Conv2d(n_in, n_out, kernel_size=3, stride=stride, padding=1, bias=False),
         nn.GroupNorm(n_out // 8, n_out),

@@ -1,23 +1,26 @@
 """GR00T-N1.5's action head, so that a policy can start from its weights as the paper's ObAct does.
 
-Its layers are LeRobot's for GR00T N1.7. They are put together here as in the ``FlowmatchingActionHead`` of the released
-``nvidia/GR00T-N1.5-3B``, with its names and shapes of parameters; LeRobot no longer ships that.
+Its layers are LeRobot's for GR00T N1.7. They are put together here as in the
+``FlowmatchingActionHead`` of the released ``nvidia/GR00T-N1.5-3B``, with its names and shapes of
+parameters; LeRobot no longer ships that.
 
-**Licence.** The code here is Apache-2.0. The released *weights* are not: they come under NVIDIA's own licence, whose
-terms also bind what is derived from them. Read the model card before you share a policy that started from them.
+**Licence.** The code here is Apache-2.0. The released *weights* are not: they come under NVIDIA's
+own licence, whose terms also bind what is derived from them. Read the model card before you share a
+policy that started from them.
 
 What the original does, kept here because its weights expect it:
 
-* queries are ``[state (1), learned future tokens, noisy actions]``; even blocks attend to the vision-language tokens,
-  odd blocks to the queries themselves;
+* queries are ``[state (1), learned future tokens, noisy actions]``; even blocks
+  attend to the vision-language tokens, odd blocks to the queries themselves;
 * no attention mask anywhere;
-* flow time 0 is noise and 1 is data, cut into 1000 integer buckets; ``t = (s - u) / s, u ~ Beta(1.5, 1), s = 0.999``;
+* flow time 0 is noise and 1 is data, cut into 1000 integer buckets; ``t = (s - u) / s, u ~
+  Beta(1.5, 1), s = 0.999``;
 * dropout of 0.2 everywhere in training;
-* states and actions are padded with zeros to 64 and 32 entries, and each embodiment has encoders and a decoder of its
-  own.
+* states and actions are padded with zeros to 64 and 32 entries, and each embodiment has encoders
+  and a decoder of its own.
 
-What differs: the only vision-language token is ObAct's context, which has read images, proprioception and history, so
-the state token holds zeros.
+What differs: the only vision-language token is ObAct's context, which has read images,
+proprioception and history, so the state token holds zeros.
 """
 
 import json
@@ -82,14 +85,26 @@ class Gr00tHead(nn.Module):
         n_steps: int = 4,
         noise_seed: int = 0,
     ) -> None:
-        from lerobot.policies.groot.action_head.cross_attention_dit import DiT, SelfAttentionTransformer
-        from lerobot.policies.groot.groot_n1_7 import CategorySpecificMLP, MultiEmbodimentActionEncoder
+        from lerobot.policies.groot.action_head.cross_attention_dit import (
+            DiT,
+            SelfAttentionTransformer,
+        )
+        from lerobot.policies.groot.groot_n1_7 import (
+            CategorySpecificMLP,
+            MultiEmbodimentActionEncoder,
+        )
 
         super().__init__()
-        self.horizon, self.action_dim, self.n_steps, self.noise_seed = horizon, sum(groups), n_steps, noise_seed
+        self.horizon, self.action_dim, self.n_steps, self.noise_seed = (
+            horizon,
+            sum(groups),
+            n_steps,
+            noise_seed,
+        )
         if self.action_dim > max_action_dim:
             raise ValueError(
-                f"the action has {self.action_dim} entries, but the gr00t head takes at most {max_action_dim}."
+                f"the action has {self.action_dim} entries, but the gr00t head takes at most "
+                f"{max_action_dim}."
             )
         self.checkpoint, self.embodiment = checkpoint, embodiment
         self.max_state_dim, self.max_action_dim = max_state_dim, max_action_dim
@@ -127,7 +142,9 @@ class Gr00tHead(nn.Module):
         u = torch.rand(len(target), device=target.device) ** (1 / BETA_ALPHA)
         t = (TIME_SCALE - u) / TIME_SCALE
         noise = torch.randn_like(target)
-        error = self.velocity(torch.lerp(noise, target, t[:, None, None]), t, self.memory(context)) - (target - noise)
+        error = self.velocity(
+            torch.lerp(noise, target, t[:, None, None]), t, self.memory(context)
+        ) - (target - noise)
         return (error.square()[..., : self.action_dim].mean(-1) * weight).mean(-1)
 
     @property
@@ -154,42 +171,61 @@ class Gr00tHead(nn.Module):
         return self.vl_self_attention(self.vlln(self.condition_in(context)[:, None]))
 
     def velocity(self, x: Tensor, t: Tensor, memory: Tensor) -> Tensor:
-        """Predict the flow velocity of noisy padded chunks ``(R, H, max_action_dim)`` at times ``(R,)``."""
+        """Predict the flow velocity of noisy padded chunks ``(R, H, max_action_dim)`` at times
+        ``(R,)``.
+        """
         bucket = (t * N_TIME_BUCKETS).long()
         slot = torch.zeros(len(x), dtype=torch.long, device=x.device)
         state = x.new_zeros(len(x), 1, self.max_state_dim)
-        actions = self.action_encoder(x, bucket, slot) + self.position_embedding.weight[: x.shape[1]]
+        actions = (
+            self.action_encoder(x, bucket, slot) + self.position_embedding.weight[: x.shape[1]]
+        )
         future = self.future_tokens.weight.expand(len(x), -1, -1)
-        queries = torch.cat([self.state_encoder(state, slot), future.to(actions.dtype), actions], dim=1)
+        queries = torch.cat(
+            [self.state_encoder(state, slot), future.to(actions.dtype), actions], dim=1
+        )
         return self.action_decoder(self.model(queries, memory, bucket), slot)[:, -x.shape[1] :]
 
     def load_pretrained(self) -> None:
         """Load the weights of ``checkpoint``, if one is given.
 
         Raises:
-            ValueError: if the checkpoint's head differs from this one, naming the first difference, or lacks the
-                embodiment.
+            ValueError: if the checkpoint's head differs from this one, naming the first difference,
+                or lacks the embodiment.
         """
         if not self.checkpoint:
             return
-        state = {key: self._own_slot(key, value) for key, value in read_action_head(self.checkpoint).items()}
-        own = {key: value for key, value in self.state_dict().items() if not key.startswith("condition_in.")}
+        state = {
+            key: self._own_slot(key, value)
+            for key, value in read_action_head(self.checkpoint).items()
+        }
+        own = {
+            key: value
+            for key, value in self.state_dict().items()
+            if not key.startswith("condition_in.")
+        }
         for key in sorted(own.keys() | state.keys()):
             shapes = [tuple(d[key].shape) if key in d else None for d in (state, own)]
             if shapes[0] != shapes[1]:
-                raise ValueError(f"{self.checkpoint}: {key} is {shapes[0]}, but this gr00t head has {shapes[1]}.")
+                raise ValueError(
+                    f"{self.checkpoint}: {key} is {shapes[0]}, but this gr00t head has {shapes[1]}."
+                )
         self.load_state_dict(state, strict=False)
 
     def _own_slot(self, key: str, value: Tensor) -> Tensor:
         if not key.startswith(("state_encoder.", "action_encoder.", "action_decoder.")):
             return value
         if not 0 <= self.embodiment < len(value):
-            raise ValueError(f"embodiment is {self.embodiment}, but must be 0 to {len(value) - 1} ({self.checkpoint}).")
+            raise ValueError(
+                f"embodiment is {self.embodiment}, but must be 0 to {len(value) - 1} "
+                f"({self.checkpoint})."
+            )
         return value[self.embodiment : self.embodiment + 1]
 
 
 def read_action_head(source: str) -> dict[str, Tensor]:
-    """Read the action head's tensors from a GR00T-N1.5 checkpoint, by name, without the checkpoint's prefix.
+    """Read the action head's tensors from a GR00T-N1.5 checkpoint, by name, without the
+    checkpoint's prefix.
 
     Args:
         source: folder, or Hub name, with ``model.safetensors`` or its shards and their index.
@@ -198,14 +234,27 @@ def read_action_head(source: str) -> dict[str, Tensor]:
         ValueError: if there is no action head in it.
     """
     patterns = ["*.safetensors", "*.json"]
-    folder = Path(source) if Path(source).is_dir() else Path(snapshot_download(source, allow_patterns=patterns))
+    folder = (
+        Path(source)
+        if Path(source).is_dir()
+        else Path(snapshot_download(source, allow_patterns=patterns))
+    )
     index = folder / "model.safetensors.index.json"
-    shards = set(json.loads(index.read_text())["weight_map"].values()) if index.is_file() else {"model.safetensors"}
+    shards = (
+        set(json.loads(index.read_text())["weight_map"].values())
+        if index.is_file()
+        else {"model.safetensors"}
+    )
     state = {}
     for shard in sorted(shards):
         with safe_open(folder / shard, framework="pt") as tensors:
             names = [name for name in tensors.keys() if name.startswith(CHECKPOINT_PREFIX)]  # noqa: SIM118
-            state |= {name.removeprefix(CHECKPOINT_PREFIX): tensors.get_tensor(name) for name in names}
+            state |= {
+                name.removeprefix(CHECKPOINT_PREFIX): tensors.get_tensor(name) for name in names
+            }
     if not state:
-        raise ValueError(f"{source} has no tensor named '{CHECKPOINT_PREFIX}...': it is no GR00T-N1.5 checkpoint.")
+        raise ValueError(
+            f"{source} has no tensor named '{CHECKPOINT_PREFIX}...': it is no GR00T-N1.5 "
+            f"checkpoint."
+        )
     return state

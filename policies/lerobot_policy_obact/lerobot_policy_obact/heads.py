@@ -1,13 +1,14 @@
 """Action heads: what a context says about the next actions.
 
     base        mean of the chunk and the scale of its error, by regression (Laplace likelihood)
-    diffusion   the default: the chunk's deviation from that mean, in units of that scale, denoised from normal noise
-    flow        the same deviation, by flow matching
+    diffusion   the default: the chunk's deviation from that mean, in units of that scale, denoised
+    from normal noise flow        the same deviation, by flow matching
     regression  the mean itself, without noise
 
-Time runs from t = 0, noise, to t = 1, data. Diffusion mixes signal and noise as sin and cos of t pi / 2 (variance
-preserving) and predicts the signal; flow mixes them linearly and predicts the velocity. Dividing the former by the sum
-of its two coefficients gives the latter's path, so one Euler loop samples both (DDIM is exact there).
+Time runs from t = 0, noise, to t = 1, data. Diffusion mixes signal and noise as sin and cos of t pi
+/ 2 (variance preserving) and predicts the signal; flow mixes them linearly and predicts the
+velocity. Dividing the former by the sum of its two coefficients gives the latter's path, so one
+Euler loop samples both (DDIM is exact there).
 """
 
 from itertools import pairwise
@@ -20,11 +21,12 @@ from torch import Tensor, nn
 
 DRAWS = 2  # noise levels at which each action of a batch is denoised
 PURE_NOISE_SHARE = 0.5  # share of those at pure noise, where sampling begins
-LARGEST_DEVIATION = 6.0  # deviations are clipped to this many scales: an outlier would teach nothing but its own size
+# deviations are clipped to this many scales: an outlier would teach nothing but its own size
+LARGEST_DEVIATION = 6.0
 MIN_LOG_SCALE, MAX_LOG_SCALE = -4.0, 2.0
 BETA = 0.5
-"""The likelihood is weighted by the scale to this power, or what is easily predicted would count for nearly everything
-(beta-NLL; Seitzer et al., 2022)."""
+"""The likelihood is weighted by the scale to this power, or what is easily predicted would count
+for nearly everything (beta-NLL; Seitzer et al., 2022)."""
 
 
 def perceptron(*widths: int) -> nn.Sequential:
@@ -36,24 +38,32 @@ def perceptron(*widths: int) -> nn.Sequential:
 
 
 def frame_noise(seed: int, frame: int, shape: tuple[int, ...], like: Tensor) -> Tensor:
-    """Return normal noise that is a function of a seed and a frame's number alone, in the type of ``like``.
+    """Return normal noise that is a function of a seed and a frame's number alone, in the type of
+    ``like``.
 
-    So what a policy does follows from what it sees: batch size, order, interruption and machine change nothing.
+    So what a policy does follows from what it sees: batch size, order, interruption and machine
+    change nothing.
     """
     drawn = np.random.default_rng((seed, frame)).standard_normal(shape, dtype=np.float32)
     return torch.from_numpy(drawn).to(like)
 
 
 class FlowDenoiser(nn.Module):
-    """Flow matching along straight paths; a residual perceptron over the ``size`` numbers of a chunk, in a context of
-    ``context`` numbers.
+    """Flow matching along straight paths; a residual perceptron over the ``size`` numbers of a
+    chunk, in a context of ``context`` numbers.
     """
 
     def __init__(self, size: int, context: int, width: int = 128, n_blocks: int = 2) -> None:
         super().__init__()
-        self.time, self.chunk, self.context = nn.Linear(16, width), nn.Linear(size, width), nn.Linear(context, width)
+        self.time, self.chunk, self.context = (
+            nn.Linear(16, width),
+            nn.Linear(size, width),
+            nn.Linear(context, width),
+        )
         self.blocks = nn.ModuleList(
-            nn.Sequential(nn.LayerNorm(width), nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width))
+            nn.Sequential(
+                nn.LayerNorm(width), nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width)
+            )
             for _ in range(n_blocks)
         )
         self.out = nn.Linear(width, size)
@@ -61,7 +71,9 @@ class FlowDenoiser(nn.Module):
         nn.init.zeros_(self.out.bias)
 
     def forward(self, chunk: Tensor, t: Tensor, context: Tensor) -> Tensor:
-        """Map noisy chunks ``(R, H, A)`` at times ``(R,)`` in contexts ``(R, C)`` to predictions of that shape."""
+        """Map noisy chunks ``(R, H, A)`` at times ``(R,)`` in contexts ``(R, C)`` to predictions of
+        that shape.
+        """
         phase = t[:, None] * torch.pi * 2.0 ** torch.arange(-1, 7, device=t.device)
         time = self.time(torch.cat([phase.sin(), phase.cos()], dim=-1))
         x = self.chunk(chunk.flatten(1)) + time + self.context(context)
@@ -70,11 +82,15 @@ class FlowDenoiser(nn.Module):
         return self.out(x).view_as(chunk)
 
     def error(self, target: Tensor, noise: Tensor, t: Tensor, context: Tensor) -> Tensor:
-        """Return by how much the prediction for a mixture of target and noise is off, ``(R, H, A)``."""
+        """Return by how much the prediction for a mixture of target and noise is off, ``(R, H,
+        A)``.
+        """
         return self(torch.lerp(noise, target, t[:, None, None]), t, context) - (target - noise)
 
     def velocity(self, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
-        """Return the velocity of the linear path at ``x`` ``(R, H, A)`` and ``t`` ``(R,)``, towards the data."""
+        """Return the velocity of the linear path at ``x`` ``(R, H, A)`` and ``t`` ``(R,)``, towards
+        the data.
+        """
         return self(x, t, context)
 
 
@@ -106,11 +122,13 @@ class ActionHead(nn.Module):
         denoiser: how; None for regression alone.
         context: numbers of a context.
         horizon: actions of a chunk, H.
-        groups: sizes of the groups of an action's entries that are scaled together (palm, fingers), of sum A.
+        groups: sizes of the groups of an action's entries that are scaled together (palm, fingers),
+            of sum A.
         width: of the denoiser.
         n_steps: sampling steps.
         n_draws: chunks sampled for a decision; the palm follows their median.
-        closing_quantile: of the draws, for the fingers: above 0.5 they rather close too early than too late.
+        closing_quantile: of the draws, for the fingers: above 0.5 they rather close too early than
+            too late.
         noise_seed: of the noise that `sample` starts from.
     """
 
@@ -128,7 +146,12 @@ class ActionHead(nn.Module):
         noise_seed: int = 0,
     ) -> None:
         super().__init__()
-        self.horizon, self.groups, self.n_steps, self.action_dim = horizon, groups, n_steps, sum(groups)
+        self.horizon, self.groups, self.n_steps, self.action_dim = (
+            horizon,
+            groups,
+            n_steps,
+            sum(groups),
+        )
         self.n_draws, self.closing_quantile, self.noise_seed = n_draws, closing_quantile, noise_seed
         self.noise_shape = horizon, self.action_dim  # of the noise that a chunk starts from
         self.base = nn.Linear(context, horizon * (self.action_dim + len(groups)))
@@ -144,11 +167,14 @@ class ActionHead(nn.Module):
         return mean, log_scale.clamp(MIN_LOG_SCALE, MAX_LOG_SCALE)
 
     def loss(self, context: Tensor, actions: Tensor, weight: Tensor) -> Tensor:
-        """Return the loss of each row, ``(R,)``, for contexts ``(R, C)``, normalised actions ``(R, H, A)`` and their
-        weights, 0 for padding, ``(R, H)``.
+        """Return the loss of each row, ``(R,)``, for contexts ``(R, C)``, normalised actions ``(R,
+        H, A)`` and their weights, 0 for padding, ``(R, H)``.
         """
         mean, log_scale = self.regress(context)
-        errors = torch.stack([e.square().sum(-1).add(1e-8).sqrt() for e in (actions - mean).split(self.groups, -1)], -1)
+        errors = torch.stack(
+            [e.square().sum(-1).add(1e-8).sqrt() for e in (actions - mean).split(self.groups, -1)],
+            -1,
+        )
         sizes = errors.new_tensor(self.groups).clamp_max(3.0)
         likelihood = errors * (-log_scale).exp() + sizes * log_scale
         likelihood = (likelihood * (BETA * log_scale).exp().detach()).mean(-1)  # (R, H)
@@ -156,10 +182,14 @@ class ActionHead(nn.Module):
         if self.denoiser is None:
             return loss
         deviation = (actions - mean.detach()) / self._unit(log_scale).detach()
-        target = repeat(deviation.clamp(-LARGEST_DEVIATION, LARGEST_DEVIATION), "r h a -> (r n) h a", n=DRAWS)
+        target = repeat(
+            deviation.clamp(-LARGEST_DEVIATION, LARGEST_DEVIATION), "r h a -> (r n) h a", n=DRAWS
+        )
         t = torch.rand(len(target), device=target.device)
         t = torch.where(torch.rand_like(t) < PURE_NOISE_SHARE, 0.0, t)
-        error = self.denoiser.error(target, torch.randn_like(target), t, repeat(context, "r c -> (r n) c", n=DRAWS))
+        error = self.denoiser.error(
+            target, torch.randn_like(target), t, repeat(context, "r c -> (r n) c", n=DRAWS)
+        )
         error = rearrange(error.square().mean(-1), "(r n) h -> r n h", n=DRAWS)
         return loss + (error * weight[:, None]).mean((1, 2))
 
@@ -171,8 +201,8 @@ class ActionHead(nn.Module):
     def sample(self, context: Tensor, frame: int) -> Tensor:
         """Sample a chunk for every context, ``(R, C) -> (R, H, A)``.
 
-        ``n_draws`` chunks start from the noise of the frame, counted from the start of the episode, and a quantile of
-        every entry makes one of them.
+        ``n_draws`` chunks start from the noise of the frame, counted from the start of the episode,
+        and a quantile of every entry makes one of them.
         """
         if self.denoiser is None:
             return self.regress(context)[0]
@@ -185,13 +215,17 @@ class ActionHead(nn.Module):
         return torch.cat([palm[n // 2], rest[int(n * self.closing_quantile)]], dim=-1)
 
     def denoise(self, context: Tensor, start: Tensor, n_steps: int) -> Tensor:
-        """Return the chunks ``(R, H, A)`` that noise ``start`` ``(R, H, A)`` becomes in contexts ``(R, C)``."""
+        """Return the chunks ``(R, H, A)`` that noise ``start`` ``(R, H, A)`` becomes in contexts
+        ``(R, C)``.
+        """
         mean, log_scale = self.regress(context)
         if (denoiser := self.denoiser) is None:
             return mean
         unit = self._unit(log_scale)
 
-        def towards_noise(x: Tensor, time: Tensor) -> Tensor:  # LeRobot's loop runs from time 1, noise, to 0, data
+        def towards_noise(
+            x: Tensor, time: Tensor
+        ) -> Tensor:  # LeRobot's loop runs from time 1, noise, to 0, data
             return -denoiser.velocity(x, (1 - time).to(x), context)
 
         return mean + unit * euler_integrate(towards_noise, start, n_steps)

@@ -1,7 +1,8 @@
 """LeRobot's asynchronous policy server, with ObAct among the policies it knows.
 
-LeRobot's server loads no plugins and accepts a fixed list of policies. Importing this module registers the plugin and
-adds it to that list; run as a program it also starts the server, with LeRobot's arguments:
+LeRobot's server loads no plugins and accepts a fixed list of policies. Importing this module
+registers the plugin and adds it to that list; run as a program it also starts the server, with
+LeRobot's arguments:
 
     python -m lerobot_policy_obact.launch_policy_server --host=127.0.0.1 --port=8080 --fps=20
 """

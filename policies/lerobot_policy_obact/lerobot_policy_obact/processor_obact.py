@@ -5,4 +5,6 @@ The config asks for no normalisation: the policy works in metres and radians.
 
 from lerobot.processor.factory import make_default_pre_post_processors
 
-make_obact_pre_post_processors = make_default_pre_post_processors  # what LeRobot looks up by this name
+make_obact_pre_post_processors = (
+    make_default_pre_post_processors  # what LeRobot looks up by this name
+)

@@ -1,9 +1,9 @@
 """A whole dataset as tables, to learn from; training only.
 
-A frozen encoder says the same of an image whenever it is asked, so all images are encoded before training begins, kept
-in memory, and on disk for the next run with the same images and weights; a batch then only says which episodes there
-are. What a dataset of DynaHOI knows of its targets (the ``stats/`` columns of the episode table) is read at the same
-time and never becomes an observation.
+A frozen encoder says the same of an image whenever it is asked, so all images are encoded before
+training begins, kept in memory, and on disk for the next run with the same images and weights; a
+batch then only says which episodes there are. What a dataset of DynaHOI knows of its targets (the
+``stats/`` columns of the episode table) is read at the same time and never becomes an observation.
 """
 
 from __future__ import annotations
@@ -35,7 +35,11 @@ from .network import ObActModel
 from .teacher import NEVER, Grip, Targets, Teacher
 
 # columns of the episode table of a DynaHOI dataset, see its feature table
-CAMERA_POSE, CAMERA_INTRINSICS, HAND_LIMITS = "stats/{}_camera", "stats/{}_intrinsics", "stats/hand_limits"
+CAMERA_POSE, CAMERA_INTRINSICS, HAND_LIMITS = (
+    "stats/{}_camera",
+    "stats/{}_intrinsics",
+    "stats/hand_limits",
+)
 TARGET_PATH, TARGET_POSE, LOCALIZED = "stats/target_path", "stats/target.pose", "stats/localized"
 OPEN_JOINTS, CLOSED_JOINTS = "stats/open_joints", "stats/reference_joints"
 CAPTURE, WINDOW = "capture", "window_frames"
@@ -44,9 +48,11 @@ RADIUS_M = {"attach": 0.03, "attach_lenient": 0.1}
 GRIP_M = 0.015  # within which of its seat a target that moves along with the hand is gripped
 CARRIED_VIEW = "ego"  # the view of the camera that the palm carries
 CLOSED_QUANTILE = 0.6
-"""Objects differ by 6 % in how far a hand closes around them; closing a little too far grasps more of them."""
+"""Objects differ by 6 % in how far a hand closes around them; closing a little too far grasps more
+of them."""
 CACHE, SIGHTINGS = "obact_sightings", "sightings"
-"""Folder of the cache of encoded images, beside LeRobot's datasets, and the name of the tensor in a file of it."""
+"""Folder of the cache of encoded images, beside LeRobot's datasets, and the name of the tensor in a
+file of it."""
 TAIL_BYTES = 65536  # of a file that tell it from others: a video's index, a table's footer
 
 
@@ -55,8 +61,11 @@ class Recordings:
     """All episodes of a dataset, E of at most T frames."""
 
     episodes: Episodes  # as they were recorded
-    named: Tensor  # those that a batch of the training has named, bool, (E,); nothing is learned from others
-    teacher: Teacher | None = None  # of what to do about the targets; None if the dataset does not say where they are
+    # those that a batch of the training has named, bool, (E,); nothing is learned from others
+    named: Tensor
+    teacher: Teacher | None = (
+        None  # of what to do about the targets; None if the dataset does not say where they are
+    )
     places: Tensor | None = None  # where those were [m], (E, T, 3)
 
     def draw(self, n: int) -> Episodes:
@@ -66,57 +75,98 @@ class Recordings:
 
     @classmethod
     def encoded(cls, meta: Any, config: ObActConfig, model: ObActModel) -> Recordings:
-        """Return the dataset of LeRobot's metadata, which is on this disk, with all images encoded by the model."""
-        known = {TARGET_PATH, LOCALIZED, OPEN_JOINTS, CLOSED_JOINTS, TARGET_POSE} if config.forecasts else set()
+        """Return the dataset of LeRobot's metadata, which is on this disk, with all images encoded
+        by the model.
+        """
+        known = (
+            {TARGET_PATH, LOCALIZED, OPEN_JOINTS, CLOSED_JOINTS, TARGET_POSE}
+            if config.forecasts
+            else set()
+        )
         table = episode_columns(meta, {"length", WINDOW} | known)
         columns = {
             key: torch.from_numpy(np.array(column, np.float32)).reshape(len(column), -1)
-            for key, column in _columns(meta.root / "data", "index", [*config.state_keys, ACTION]).items()
+            for key, column in _columns(
+                meta.root / "data", "index", [*config.state_keys, ACTION]
+            ).items()
         }
         count = torch.tensor(table["length"])
-        index = torch.minimum(torch.arange(int(count.max())), count[:, None] - 1) + (count.cumsum(0) - count)[:, None]
+        index = (
+            torch.minimum(torch.arange(int(count.max())), count[:, None] - 1)
+            + (count.cumsum(0) - count)[:, None]
+        )
         state = torch.cat([columns[key] for key in config.state_keys], dim=-1)
-        window = torch.tensor([frames or 0 for frames in table.get(WINDOW, [0] * len(count))], dtype=torch.long)
+        window = torch.tensor(
+            [frames or 0 for frames in table.get(WINDOW, [0] * len(count))], dtype=torch.long
+        )
         sightings = encoded_images(meta, config, model, table["length"])
         episodes = Episodes(sightings[index], state[index], columns[ACTION][index], count, window)
         named = torch.zeros(len(count), dtype=torch.bool)
         if not config.forecasts:
             return cls(episodes, named)
-        paths = [torch.tensor(np.array(path, np.float32)).reshape(-1, 3) for path in table[TARGET_PATH]]
-        length, path = torch.tensor([len(path) for path in paths]), torch.nn.utils.rnn.pad_sequence(paths, True)
-        free = torch.tensor([flags.index(True) if True in flags else len(flags) for flags in table[LOCALIZED]])
+        paths = [
+            torch.tensor(np.array(path, np.float32)).reshape(-1, 3) for path in table[TARGET_PATH]
+        ]
+        length, path = (
+            torch.tensor([len(path) for path in paths]),
+            torch.nn.utils.rnn.pad_sequence(paths, True),
+        )
+        free = torch.tensor(
+            [flags.index(True) if True in flags else len(flags) for flags in table[LOCALIZED]]
+        )
         targets = Targets(path, length, free, path, torch.full_like(length, NEVER))
         poses = [np.array(poses, np.float32).reshape(-1, 7)[:, :3] for poses in table[TARGET_POSE]]
         places = torch.from_numpy(np.concatenate(poses))[index]
-        return cls(replace(episodes, targets=targets), named, _teacher_of(config.rig, table), places)
+        return cls(
+            replace(episodes, targets=targets), named, _teacher_of(config.rig, table), places
+        )
 
 
 def _teacher_of(rig: Rig, table: dict[str, list[Any]]) -> Teacher:
     """Return the teacher of a dataset with the episode table ``table``."""
-    joints = (torch.tensor(np.stack(table[name]), dtype=torch.float32) for name in (OPEN_JOINTS, CLOSED_JOINTS))
+    joints = (
+        torch.tensor(np.stack(table[name]), dtype=torch.float32)
+        for name in (OPEN_JOINTS, CLOSED_JOINTS)
+    )
     kind, radius_m = (Grip, GRIP_M) if rig.capture == CONTACT else (Teacher, rig.radius_m)
-    return kind(rig.fps, rig.step_m, *(angles.quantile(CLOSED_QUANTILE, dim=0) for angles in joints), radius_m=radius_m)
+    return kind(
+        rig.fps,
+        rig.step_m,
+        *(angles.quantile(CLOSED_QUANTILE, dim=0) for angles in joints),
+        radius_m=radius_m,
+    )
 
 
 def describe(meta: Any, cameras: list[str]) -> Rig:
     """Return what a dataset says of its clock, its cameras, its hand and its targets.
 
-    Episodes merged from elsewhere may lack these columns. Camera poses and hand limits then come from the first episode
-    that has them; the target's path counts only if every episode has one.
+    Episodes merged from elsewhere may lack these columns. Camera poses and hand limits then come
+    from the first episode that has them; the target's path counts only if every episode has one.
     """
     views, calibration = {key: key.split(".")[-1] for key in cameras}, {}
-    of_cameras = {name.format(view) for view in views.values() for name in (CAMERA_POSE, CAMERA_INTRINSICS)}
+    of_cameras = {
+        name.format(view) for view in views.values() for name in (CAMERA_POSE, CAMERA_INTRINSICS)
+    }
     table = episode_columns(meta, of_cameras | {HAND_LIMITS, CAPTURE})
     for key, view in views.items():
         if pose := _first(table, CAMERA_POSE.format(view)):
             focal_px, _, centre_px, _ = _first(table, CAMERA_INTRINSICS.format(view))
             calibration[key] = [*pose, centre_px / focal_px, float(view == CARRIED_VIEW)]
     speed, _, latency_ms = _first(table, HAND_LIMITS) or (0.0, 0.0, 0.0)
-    # with the palm's displacement as action (control mode grasp), the teachers' answers would be of another kind
-    absolute = meta.features[ACTION]["shape"] == meta.features.get("observation.state", {}).get("shape")
-    captures: list[Any] = table[CAPTURE] if TARGET_PATH in _episode_schema(meta) and absolute else [None]
+    # with the palm's displacement as action (control mode grasp), the teachers' answers would be of
+    # another kind
+    absolute = meta.features[ACTION]["shape"] == meta.features.get("observation.state", {}).get(
+        "shape"
+    )
+    captures: list[Any] = (
+        table[CAPTURE] if TARGET_PATH in _episode_schema(meta) and absolute else [None]
+    )
     if (lacking := captures.count(None)) and lacking < len(captures):
-        logging.warning("%d of %d episodes lack the target's path: only actions are learned", lacking, len(captures))
+        logging.warning(
+            "%d of %d episodes lack the target's path: only actions are learned",
+            lacking,
+            len(captures),
+        )
     capture = "" if lacking else captures[0]
     return Rig(
         fps=float(meta.fps),
@@ -133,15 +183,18 @@ def _first(table: dict[str, list[Any]], name: str) -> Any:
     return next((value for value in table.get(name, []) if value is not None), None)
 
 
-# -- the tables of a dataset ----------------------------------------------------------------------------------------
+# -- the tables of a dataset -----------------------------------------------------------------------
 
 
 def episode_columns(meta: Any, wanted: set[str]) -> dict[str, list[Any]]:
-    """Return those of the ``wanted`` columns of the episode table that the dataset has, in the order of episodes.
+    """Return those of the ``wanted`` columns of the episode table that the dataset has, in the
+    order of episodes.
 
     LeRobot's own table of episodes leaves out the columns ``stats/``.
     """
-    return _columns(meta.root / "meta/episodes", "episode_index", wanted.intersection(_episode_schema(meta)))
+    return _columns(
+        meta.root / "meta/episodes", "episode_index", wanted.intersection(_episode_schema(meta))
+    )
 
 
 def _episode_schema(meta: Any) -> list[str]:
@@ -154,26 +207,31 @@ def _columns(folder: Path, order: str, names: Iterable[str]) -> dict[str, list[A
     return {name: table[name].to_pylist() for name in names}
 
 
-# -- its images, encoded --------------------------------------------------------------------------------------------
+# -- its images, encoded ---------------------------------------------------------------------------
 
 
 def encoded_images(meta: Any, config: ObActConfig, model: ObActModel, lengths: list[int]) -> Tensor:
-    """Return the sightings of all frames, ``(N, C, 5 + E)`` float32, of episodes of these ``lengths`` [frames].
+    """Return the sightings of all frames, ``(N, C, 5 + E)`` float32, of episodes of these
+    ``lengths`` [frames].
 
-    With ``config.cache_images`` they come from the cache, or go there. Whatever is wrong with a file of the cache, or
-    with its folder, is reported once and costs no more than encoding again.
+    With ``config.cache_images`` they come from the cache, or go there. Whatever is wrong with a
+    file of the cache, or with its folder, is reported once and costs no more than encoding again.
     """
     file, told = HF_LEROBOT_HOME / CACHE / f"{_fingerprint(meta, config, model)}.safetensors", False
     if config.cache_images and os.path.lexists(file):
         try:
             return _cached(file, (sum(lengths), len(config.cameras)))
         except Exception as error:  # of the file system, or of a reader of damaged files
-            logging.warning("the images are encoded again, because %s is of no use: %s", file, error)
+            logging.warning(
+                "the images are encoded again, because %s is of no use: %s", file, error
+            )
             told = True
     found = []
     with torch.no_grad(), torch.autocast(model.device.type, enabled=False):
         episodes = zip(*(_images(meta, key, lengths) for key in config.cameras), strict=True)
-        for seen in tqdm(episodes, desc="encoding", total=len(lengths), unit="episode", disable=None):
+        for seen in tqdm(
+            episodes, desc="encoding", total=len(lengths), unit="episode", disable=None
+        ):
             images = {key: x.to(model.device) for key, x in zip(config.cameras, seen, strict=True)}
             before = {key: torch.cat([x[:1], x[:-1]]) for key, x in images.items()}
             found.append(model.encode_images(images, before).float().cpu())
@@ -191,20 +249,30 @@ def encoded_images(meta: Any, config: ObActConfig, model: ObActModel, lengths: l
 
 
 def _cached(file: Path, size: tuple[int, int]) -> Tensor:
-    """Return the sightings in a file of the cache, of so many frames and cameras, ``(N, C, 5 + E)``."""
+    """Return the sightings in a file of the cache, of so many frames and cameras, ``(N, C, 5 +
+    E)``.
+    """
     if not file.is_file():
         raise ValueError("it is no file")
     if file.stat().st_uid != os.getuid():
         raise PermissionError("it belongs to another user")
     sightings = load_file(file)[SIGHTINGS]
-    if sightings.dtype != torch.float32 or sightings.shape[:2] != size or not sightings.isfinite().all():
-        raise ValueError(f"it holds {sightings.dtype} {tuple(sightings.shape)}, not finite float32 of {size}")
+    if (
+        sightings.dtype != torch.float32
+        or sightings.shape[:2] != size
+        or not sightings.isfinite().all()
+    ):
+        raise ValueError(
+            f"it holds {sightings.dtype} {tuple(sightings.shape)}, not finite float32 of {size}"
+        )
     return sightings
 
 
 def _fingerprint(meta: Any, config: ObActConfig, model: ObActModel) -> str:
     """Return what the sightings follow from: the dataset's files and the encoder's weights."""
-    digest = hashlib.sha256(json.dumps([config.encoder, config.encoder_options, config.cameras]).encode())
+    digest = hashlib.sha256(
+        json.dumps([config.encoder, config.encoder_options, config.cameras]).encode()
+    )
     for file in sorted(Path(meta.root).glob("**/*")):
         if file.suffix in (".mp4", ".parquet"):
             size = file.stat().st_size
@@ -228,4 +296,6 @@ def _images(meta: Any, key: str, lengths: list[int]) -> Iterator[Tensor]:
     for episode, length in enumerate(lengths):
         start_s = meta.episodes[episode][f"videos/{key}/from_timestamp"]
         times_s = [start_s + frame / meta.fps for frame in range(length)]
-        yield decode_video_frames(meta.root / meta.get_video_file_path(episode, key), times_s, 0.5 / meta.fps, "pyav")
+        yield decode_video_frames(
+            meta.root / meta.get_video_file_path(episode, key), times_s, 0.5 / meta.fps, "pyav"
+        )

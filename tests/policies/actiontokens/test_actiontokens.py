@@ -1,4 +1,6 @@
-"""Actions as tokens, alone or with the image to come: bins, who sees whom, what is learned, padding, checkpoints."""
+"""Actions as tokens, alone or with the image to come: bins, who sees whom, what is learned,
+padding, checkpoints.
+"""
 
 import shutil
 from pathlib import Path
@@ -91,7 +93,9 @@ def test_bins_are_those_of_openvla() -> None:
 
 def test_words_and_actions_look_back_and_the_image_looks_everywhere() -> None:
     words, kept = torch.tensor([[0, 5, 6]]), torch.tensor([[0, 1, 1]])
-    ids, mask, positions, codes, actions = lay_out(words, kept, torch.tensor([[1, 0]]), n_actions=2, n_words=10)
+    ids, mask, positions, codes, actions = lay_out(
+        words, kept, torch.tensor([[1, 0]]), n_actions=2, n_words=10
+    )
     task, image, end, act, code = 10, 11, 12, 13, 14
     assert ids[0].tolist() == [task, 0, 5, 6, image, code + 1, code, end, act, act]
     assert ids[0, codes].tolist() == [code + 1, code]
@@ -149,8 +153,12 @@ def test_actions_depend_on_image_and_instruction(models: Path) -> None:
     batch = now(make_batch(policy))
     chunk = policy.predict_action_chunk(batch)
     assert chunk.shape == (2, 4, SIZE)
-    assert (policy.predict_action_chunk(batch | {CAMERA: 1 - batch[CAMERA]}) - chunk).abs().max() > 1e-4
-    assert (policy.predict_action_chunk(batch | {"task": "catch the moving ball"}) - chunk).abs().max() > 1e-4
+    assert (
+        policy.predict_action_chunk(batch | {CAMERA: 1 - batch[CAMERA]}) - chunk
+    ).abs().max() > 1e-4
+    assert (
+        policy.predict_action_chunk(batch | {"task": "catch the moving ball"}) - chunk
+    ).abs().max() > 1e-4
 
 
 @both
@@ -158,15 +166,20 @@ def test_a_longer_instruction_beside_it_changes_nothing(kind: type[Policy], mode
     policy = make_policy(kind, models)
     batch = make_batch(policy)
     alone = losses(policy, batch)
-    mixed = losses(policy, batch | {"task": ["catch the ball", "catch the moving ball that is being the ball"]})
+    mixed = losses(
+        policy, batch | {"task": ["catch the ball", "catch the moving ball that is being the ball"]}
+    )
     torch.testing.assert_close(mixed[0], alone[0], rtol=1e-4, atol=1e-5)
     assert (mixed[1] - alone[1]).abs() > 1e-6
 
 
 @pytest.mark.parametrize(
-    ("kind", "padded"), [(ActionTokensPolicy, "action"), (UPVLAPolicy, "action"), (UPVLAPolicy, CAMERA)]
+    ("kind", "padded"),
+    [(ActionTokensPolicy, "action"), (UPVLAPolicy, "action"), (UPVLAPolicy, CAMERA)],
 )
-def test_what_is_after_the_episode_is_not_learned(kind: type[Policy], padded: str, models: Path) -> None:
+def test_what_is_after_the_episode_is_not_learned(
+    kind: type[Policy], padded: str, models: Path
+) -> None:
     policy = make_policy(kind, models, chunk_size=4)
     batch = make_batch(policy)
     pad = torch.zeros(batch[padded].shape[:2], dtype=torch.bool)
@@ -174,14 +187,17 @@ def test_what_is_after_the_episode_is_not_learned(kind: type[Policy], padded: st
     other = batch[padded].clone()
     other[:, -1] = 1 - other[:, -1]
     before, after = (
-        losses(policy, batch | {padded: values, f"{padded}_is_pad": pad}) for values in (batch[padded], other)
+        losses(policy, batch | {padded: values, f"{padded}_is_pad": pad})
+        for values in (batch[padded], other)
     )
     torch.testing.assert_close(before[0], after[0])
     assert (before[1] - after[1]).abs() > 1e-6
 
 
 @both
-def test_a_checkpoint_brings_its_own_weights(kind: type[Policy], models: Path, tmp_path: Path) -> None:
+def test_a_checkpoint_brings_its_own_weights(
+    kind: type[Policy], models: Path, tmp_path: Path
+) -> None:
     policy = make_policy(kind, shutil.copytree(models, tmp_path / "models"))
     for file in (tmp_path / "models").rglob("*.safetensors"):
         file.unlink()
@@ -192,13 +208,19 @@ def test_a_checkpoint_brings_its_own_weights(kind: type[Policy], models: Path, t
     again = kind.from_pretrained(tmp_path / "policy")
     batch = make_batch(policy)
     torch.testing.assert_close(losses(again, batch), losses(policy, batch))
-    torch.testing.assert_close(again.predict_action_chunk(now(batch)), policy.predict_action_chunk(now(batch)))
+    torch.testing.assert_close(
+        again.predict_action_chunk(now(batch)), policy.predict_action_chunk(now(batch))
+    )
     if kind is UPVLAPolicy:
-        torch.testing.assert_close(again.predict_image(now(batch)), policy.predict_image(now(batch)))
+        torch.testing.assert_close(
+            again.predict_image(now(batch)), policy.predict_image(now(batch))
+        )
 
 
 def test_the_vision_tower_and_the_image_tokenizer_stay_as_they_are(models: Path) -> None:
-    frozen, free = (make_policy(ActionTokensPolicy, models, freeze_vision=freeze) for freeze in (True, False))
+    frozen, free = (
+        make_policy(ActionTokensPolicy, models, freeze_vision=freeze) for freeze in (True, False)
+    )
     assert len(frozen.get_optim_params()) < len(free.get_optim_params())
     assert all("vision" in name for name, p in frozen.named_parameters() if not p.requires_grad)
     policy = make_policy(UPVLAPolicy, models).train()
@@ -217,7 +239,10 @@ def test_codes_come_back_row_by_row(models: Path) -> None:
 
 @pytest.mark.parametrize(
     ("changes", "words"),
-    [({"n_action_steps": 2}, "n_action_steps is 2, but must be 1 to 1"), ({"dtype": "int8"}, "int8")],
+    [
+        ({"n_action_steps": 2}, "n_action_steps is 2, but must be 1 to 1"),
+        ({"dtype": "int8"}, "int8"),
+    ],
 )
 def test_bad_values_are_named(models: Path, changes: dict, words: str) -> None:
     with pytest.raises(ValueError, match=words):

@@ -1,4 +1,6 @@
-"""OpenVLA's checkpoints: opened without remote code, read and written as their authors do, made LeRobot policies."""
+"""OpenVLA's checkpoints: opened without remote code, read and written as their authors do, made
+LeRobot policies.
+"""
 
 import json
 from pathlib import Path
@@ -45,7 +47,9 @@ def imported(checkpoint: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def picture(seed: int = 0, size: int = 40) -> Tensor:
-    return torch.randint(0, 256, (3, size, size), generator=torch.Generator().manual_seed(seed), dtype=torch.uint8)
+    return torch.randint(
+        0, 256, (3, size, size), generator=torch.Generator().manual_seed(seed), dtype=torch.uint8
+    )
 
 
 def test_weights_have_the_names_of_the_released_ones(model: OpenVLAForActionPrediction) -> None:
@@ -57,10 +61,16 @@ def test_weights_have_the_names_of_the_released_ones(model: OpenVLAForActionPred
     assert names["projector.fc3.weight"] == (16, 16)
     assert names["language_model.lm_head.weight"] == (model.config.text_config.vocab_size, 16)
     assert "language_model.model.layers.0.self_attn.q_proj.weight" in names
-    assert {name.split(".")[0] for name in names} == {"vision_backbone", "projector", "language_model"}
+    assert {name.split(".")[0] for name in names} == {
+        "vision_backbone",
+        "projector",
+        "language_model",
+    }
 
 
-def test_the_prompt_is_that_of_training(processor: PrismaticProcessor, model: OpenVLAForActionPrediction) -> None:
+def test_the_prompt_is_that_of_training(
+    processor: PrismaticProcessor, model: OpenVLAForActionPrediction
+) -> None:
     (ids,) = processor(images=[[picture()]], text=[PROMPT])["input_ids"]
     tokenizer = processor.tokenizer
     assert ids[0] == tokenizer.bos_token_id
@@ -87,8 +97,12 @@ def test_an_image_that_would_be_cropped_is_refused(processor: PrismaticProcessor
         processor(images=[[picture()[:, :, :20]]], text=[PROMPT])
 
 
-def test_patches_follow_the_first_token(processor: PrismaticProcessor, model: OpenVLAForActionPrediction) -> None:
-    """The features of both towers' second-to-last layers, projected, stand between <s> and the prompt."""
+def test_patches_follow_the_first_token(
+    processor: PrismaticProcessor, model: OpenVLAForActionPrediction
+) -> None:
+    """The features of both towers' second-to-last layers, projected, stand between <s> and the
+    prompt.
+    """
     inputs = processor(images=[[picture()]], text=[PROMPT])
     towers = model.vision_backbone.featurizer, model.vision_backbone.fused_featurizer
     seen = []
@@ -101,18 +115,29 @@ def test_patches_follow_the_first_token(processor: PrismaticProcessor, model: Op
     patches = projector.fc3(gelu(projector.fc2(gelu(projector.fc1(torch.cat(seen, dim=2))))))
     text = model.get_input_embeddings()(inputs["input_ids"])
     embeddings = torch.cat([text[:, :1], patches, text[:, 1 + PATCHES :]], dim=1)
-    torch.testing.assert_close(model(**inputs).logits, model.language_model(inputs_embeds=embeddings).logits)
+    torch.testing.assert_close(
+        model(**inputs).logits, model.language_model(inputs_embeds=embeddings).logits
+    )
 
 
 def test_without_a_cache_the_image_is_seen_in_every_step(model, processor) -> None:
     inputs = processor(images=[[picture()]], text=[PROMPT])
-    options = {"max_new_tokens": 6, "do_sample": False, "output_logits": True, "return_dict_in_generate": True}
-    cached, plain = (model.generate(**inputs, **options, use_cache=cache).logits for cache in (True, False))
+    options = {
+        "max_new_tokens": 6,
+        "do_sample": False,
+        "output_logits": True,
+        "return_dict_in_generate": True,
+    }
+    cached, plain = (
+        model.generate(**inputs, **options, use_cache=cache).logits for cache in (True, False)
+    )
     torch.testing.assert_close(plain, cached)
 
 
 def test_an_imported_checkpoint_acts_as_the_model_does(model, processor, imported: Path) -> None:
-    """Bins count down from the tokenizer's size, and are stretched between the dataset's percentiles."""
+    """Bins count down from the tokenizer's size, and are stretched between the dataset's
+    percentiles.
+    """
     policy = ActionTokensPolicy.from_pretrained(imported)
     preprocess, postprocess = make_pre_post_processors(policy.config, pretrained_path=str(imported))
     image = picture(size=32)
@@ -137,13 +162,19 @@ def test_an_imported_checkpoint_acts_as_the_model_does(model, processor, importe
 
 def test_an_unknown_dataset_is_named(checkpoint: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"unnorm_key is 'bridge', but .* has hands"):
-        import_openvla(checkpoint, "bridge", tmp_path / "p", camera=CAMERA, image_size=32, dtype="float32")
+        import_openvla(
+            checkpoint, "bridge", tmp_path / "p", camera=CAMERA, image_size=32, dtype="float32"
+        )
     assert not (tmp_path / "p").exists()
 
 
 def test_towers_that_see_other_patches_are_refused(checkpoint: str, tmp_path: Path) -> None:
     config = json.loads((Path(checkpoint) / "config.json").read_text())
     (tmp_path / "config.json").write_text(json.dumps(config | {"image_seq_length": 9}))
-    model = OpenVLAForActionPrediction(OpenVLAForActionPrediction.config_class.from_pretrained(tmp_path))
+    model = OpenVLAForActionPrediction(
+        OpenVLAForActionPrediction.config_class.from_pretrained(tmp_path)
+    )
     with pytest.raises(ValueError, match="there are 4 patches, but must be 9"):
-        model(input_ids=torch.zeros(1, 12, dtype=torch.int64), pixel_values=torch.zeros(1, 6, 32, 32))
+        model(
+            input_ids=torch.zeros(1, 12, dtype=torch.int64), pixel_values=torch.zeros(1, 6, 32, 32)
+        )

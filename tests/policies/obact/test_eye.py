@@ -21,14 +21,18 @@ def camera() -> Pinhole:
 def test_what_is_seen_and_places_are_inverse_and_u_grows_to_the_right_and_v_upwards():
     offset = torch.tensor([[0.1, 0.2, -0.1], [0.5, -0.3, 0.2], [0.02, 0.0, 0.03]])
     torch.testing.assert_close(camera().place(camera().seen(offset)), offset, rtol=1e-4, atol=1e-5)
-    middle, right, above = camera().seen(torch.tensor([[0.3, 0.03, 0.21], [0.3, -0.2, 0.21], [0.3, 0.03, 0.4]]))
+    middle, right, above = camera().seen(
+        torch.tensor([[0.3, 0.03, 0.21], [0.3, -0.2, 0.21], [0.3, 0.03, 0.4]])
+    )
     assert middle[:2].abs().max() < 1e-5
     assert right[0] > 0.2
     assert above[1] > 0.2
 
 
 def test_the_fovea_shows_the_pixels_around_the_point_it_looks_at():
-    """An image that differs far from the attended point gives the same fovea; one that differs there does not."""
+    """An image that differs far from the attended point gives the same fovea; one that differs
+    there does not.
+    """
     eye = Eye(fovea=4).eval()
     image = torch.full((1, 6, 64, 64), 0.5)
     image[:, 0, 20:26, 38:44] = 1.0
@@ -42,7 +46,9 @@ def test_the_fovea_shows_the_pixels_around_the_point_it_looks_at():
 
 
 def squares(n: int, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """Grey images with a red square in each, which is the larger, the nearer it is; and its offsets [m]."""
+    """Grey images with a red square in each, which is the larger, the nearer it is; and its offsets
+    [m].
+    """
     generator = torch.Generator().manual_seed(seed)
     images = torch.full((n, 6, 32, 32), 0.5)
     seen = torch.empty(n, 3)
@@ -91,7 +97,12 @@ def test_weights_that_are_not_there_are_named(tmp_path: Path):
 def test_an_encoder_with_cells_gives_a_sighting_and_an_embedding(name: str, tmp_path: Path):
     options = {}
     if name == "transformers":
-        small = {"hidden_size": 16, "num_hidden_layers": 1, "num_attention_heads": 2, "intermediate_size": 16}
+        small = {
+            "hidden_size": 16,
+            "num_hidden_layers": 1,
+            "num_attention_heads": 2,
+            "intermediate_size": 16,
+        }
         ViTModel(ViTConfig(image_size=32, patch_size=8, **small)).save_pretrained(tmp_path)
         ViTImageProcessor().save_pretrained(tmp_path)
         options = {"name": str(tmp_path)}

@@ -1,4 +1,6 @@
-"""The teacher of the contact track: hands that follow it catch, held targets go with them, it answers as the expert."""
+"""The teacher of the contact track: hands that follow it catch, held targets go with them, it
+answers as the expert.
+"""
 
 from dataclasses import replace
 
@@ -31,7 +33,11 @@ def grip(fps: float = 20.0) -> Grip:
 
 def test_a_hand_that_follows_it_closes_where_it_has_the_target():
     torch.manual_seed(0)
-    targets, palm, caught = passing_targets(64), torch.zeros(64, 3), torch.zeros(64, dtype=torch.bool)
+    targets, palm, caught = (
+        passing_targets(64),
+        torch.zeros(64, 3),
+        torch.zeros(64, dtype=torch.bool),
+    )
     for t in range(WINDOW, FRAMES - 1):
         told = grip().answer(targets, torch.full((64, 1), t), palm[:, None, None], 1)
         moved = stepped(palm, told.goal[:, 0, 0, 0], 0.1)
@@ -44,7 +50,9 @@ def carried_targets() -> Targets:
     """Targets that are held from frame 30 on by hands that go upwards at 0.2 m/s."""
     targets = passing_targets(4)
     carried = targets.path.clone()
-    carried[:, 30:] = carried[:, 29:30] + torch.arange(1, FRAMES - 29)[:, None] * torch.tensor([0, 0, 0.01])
+    carried[:, 30:] = carried[:, 29:30] + torch.arange(1, FRAMES - 29)[:, None] * torch.tensor(
+        [0, 0, 0.01]
+    )
     return replace(targets, carried=carried, held=torch.full((4,), 30))
 
 
@@ -84,8 +92,12 @@ def test_labels_are_what_the_expert_commands():
             length = torch.tensor([path.shape[1]])
             targets = Targets(path, length, length, path, torch.tensor([NEVER]))
             due = torch.tensor([[max(int(world.frame[i]), spec.window_frames)]])
-            palm = torch.tensor(world.state_when_due[i, :3], dtype=torch.float32).reshape(1, 1, 1, 3)
+            palm = torch.tensor(world.state_when_due[i, :3], dtype=torch.float32).reshape(
+                1, 1, 1, 3
+            )
             told = grip().answer(targets, due, palm, HORIZON)
-            torch.testing.assert_close(told.goal[0, 0, 0, 0], torch.tensor(commands[i, :3]).float(), atol=1e-5, rtol=0)
+            torch.testing.assert_close(
+                told.goal[0, 0, 0, 0], torch.tensor(commands[i, :3]).float(), atol=1e-5, rtol=0
+            )
             assert bool(told.closing[0, 0, 0, 0]) == (commands[i, 3:].mean() > 0.5)
         batch.step(commands)

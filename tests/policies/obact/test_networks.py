@@ -1,4 +1,6 @@
-"""Attention in space and time; action heads: what they learn of a distribution, and how chunks continue."""
+"""Attention in space and time; action heads: what they learn of a distribution, and how chunks
+continue.
+"""
 
 from pathlib import Path
 
@@ -38,7 +40,9 @@ def looking() -> SpatialAttention:
 
 
 @torch.no_grad()
-def test_the_ray_is_that_of_the_cell_attended_to_and_of_two_targets_one_is_looked_at(looking: SpatialAttention):
+def test_the_ray_is_that_of_the_cell_attended_to_and_of_two_targets_one_is_looked_at(
+    looking: SpatialAttention,
+):
     for row, column, u, v in ((0, 0, -0.875, 0.875), (7, 7, 0.875, -0.875), (2, 5, 0.375, 0.375)):
         ray, there, heat = looking(bright(row, column))
         assert torch.allclose(ray, torch.tensor([[u, v]]), atol=1e-4)
@@ -53,7 +57,9 @@ def test_bias_is_interpolated_by_age_and_hides_the_future():
     bias.table.data = torch.arange(2.0 * N_AGES).view(2, N_AGES)
     found = bias(torch.tensor([[-0.05, 0.0, 0.05, 0.125, 1000.0]]))
     assert found.shape == (2, 1, 5)
-    assert torch.allclose(found[0, 0, 1:], torch.tensor([0.0, 1.0, 0.125 / AGE_STEP_S, N_AGES - 1]), atol=1e-4)
+    assert torch.allclose(
+        found[0, 0, 1:], torch.tensor([0.0, 1.0, 0.125 / AGE_STEP_S, N_AGES - 1]), atol=1e-4
+    )
     assert found[0, 0, 0] == -torch.inf
 
 
@@ -65,7 +71,9 @@ def ages(n: int, step_s: float = 0.05) -> torch.Tensor:
 def test_readouts_return_convex_combinations_of_earlier_positions():
     torch.manual_seed(0)
     readout, positions = PositionReadout(16, 5), torch.arange(6.0)[None, :, None].expand(1, 6, 3)
-    points, weights = readout(torch.randn(1, 6, 16), positions, ages(6), torch.tensor([[0, 3]]), Memory())
+    points, weights = readout(
+        torch.randn(1, 6, 16), positions, ages(6), torch.tensor([[0, 3]]), Memory()
+    )
     torch.testing.assert_close(weights @ positions[:, None], points)
     assert points.shape == (1, 2, 5, 3)
     assert torch.allclose(points[0, 0], torch.zeros(5, 3), atol=1e-6)  # nothing but the first frame
@@ -109,7 +117,9 @@ def two_answers(n: int) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("name", ["diffusion", "flow", "regression"])
-def test_samples_cover_two_answers_and_nothing_between_but_regression_answers_with_the_middle(name: str):
+def test_samples_cover_two_answers_and_nothing_between_but_regression_answers_with_the_middle(
+    name: str,
+):
     head = trained(name)
     with torch.no_grad():
         if name == "regression":
@@ -138,25 +148,37 @@ PER_EMBODIMENT = ("state_encoder.", "action_encoder.", "action_decoder.")
 
 @pytest.fixture
 def released(tmp_path: Path) -> dict[str, torch.Tensor]:
-    """The parameters of a small action head of two embodiments, saved in ``tmp_path`` as GR00T-N1.5's are."""
+    """The parameters of a small action head of two embodiments, saved in ``tmp_path`` as
+    GR00T-N1.5's are.
+    """
     torch.manual_seed(1)
     own = {
-        key: value for key, value in Gr00tHead(4, 3, [2], **SMALL_GR00T).state_dict().items() if "condition" not in key
+        key: value
+        for key, value in Gr00tHead(4, 3, [2], **SMALL_GR00T).state_dict().items()
+        if "condition" not in key
     }
     head = {
-        k: torch.randn(2, *v.shape[1:]) if k.startswith(PER_EMBODIMENT) else torch.randn_like(v) for k, v in own.items()
+        k: torch.randn(2, *v.shape[1:]) if k.startswith(PER_EMBODIMENT) else torch.randn_like(v)
+        for k, v in own.items()
     }
     rest = {"backbone.weight": torch.zeros(2)}
-    save_file({f"action_head.{key}": value for key, value in head.items()} | rest, tmp_path / "model.safetensors")
+    save_file(
+        {f"action_head.{key}": value for key, value in head.items()} | rest,
+        tmp_path / "model.safetensors",
+    )
     return head
 
 
-def test_a_gr00t_head_starts_from_the_slot_of_its_embodiment(released: dict[str, torch.Tensor], tmp_path: Path):
+def test_a_gr00t_head_starts_from_the_slot_of_its_embodiment(
+    released: dict[str, torch.Tensor], tmp_path: Path
+):
     head = Gr00tHead(4, 3, [2], checkpoint=str(tmp_path), embodiment=1, **SMALL_GR00T)
     head.load_pretrained()
     loaded = head.state_dict()
     for key, value in released.items():
-        assert torch.equal(loaded[key], value[1:2] if key.startswith(PER_EMBODIMENT) else value), key
+        assert torch.equal(loaded[key], value[1:2] if key.startswith(PER_EMBODIMENT) else value), (
+            key
+        )
     assert head.sample(torch.zeros(5, 4), 0).shape == (5, 3, 2)
 
 
@@ -164,7 +186,9 @@ def test_a_gr00t_head_starts_from_the_slot_of_its_embodiment(released: dict[str,
 @pytest.mark.parametrize("changes", [{"n_future_tokens": 7}, {"embodiment": -1}, {"embodiment": 2}])
 def test_a_checkpoint_that_a_gr00t_head_does_not_fit_is_refused(tmp_path: Path, changes: dict):
     ((name, value),) = changes.items()
-    head = Gr00tHead(4, 3, [2], **SMALL_GR00T | {"checkpoint": str(tmp_path), "embodiment": 1} | changes)
+    head = Gr00tHead(
+        4, 3, [2], **SMALL_GR00T | {"checkpoint": str(tmp_path), "embodiment": 1} | changes
+    )
     with pytest.raises(ValueError, match=f"{name.removeprefix('n_')}.*{value}"):
         head.load_pretrained()
     save_file({"backbone.weight": torch.zeros(2)}, tmp_path / "model.safetensors")

@@ -1,4 +1,6 @@
-"""The policy through LeRobot's own commands: any dataset, recorded episodes, checkpoints, history, servers."""
+"""The policy through LeRobot's own commands: any dataset, recorded episodes, checkpoints, history,
+servers.
+"""
 
 import json
 import pickle
@@ -39,8 +41,21 @@ from tests.checkpoints import SHIPPED as SHIPPED_POLICY
 from tests.tools import generated, python
 
 N_EPISODES, N_FRAMES, FPS, SIZE = 2, 30, 10, 48
-TINY = {"dim": 16, "n_heads": 2, "width": 32, "n_points": 4, "horizon": 4, "n_action_steps": 2, "n_obs_frames": 3}
-TINY |= {"device": "cpu", "push_to_hub": False, "head_options": {"width": 16}, "encoder_options": {"channels": 8}}
+TINY = {
+    "dim": 16,
+    "n_heads": 2,
+    "width": 32,
+    "n_points": 4,
+    "horizon": 4,
+    "n_action_steps": 2,
+    "n_obs_frames": 3,
+}
+TINY |= {
+    "device": "cpu",
+    "push_to_hub": False,
+    "head_options": {"width": 16},
+    "encoder_options": {"channels": 8},
+}
 TINY |= {"encoder": "conv", "freeze_encoder": False, "relative_dims": 2}
 HAND = {name: FEATURES[name] for name in ("input_features", "output_features")}
 LABELLED = {"episode_index": torch.arange(4), "action": torch.zeros(4, 4, 18)}
@@ -49,18 +64,35 @@ LABELLED = {"episode_index": torch.arange(4), "action": torch.zeros(4, 4, 18)}
 
 @pytest.fixture(autouse=True)
 def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Encoded images are cached in a folder of the test, and no more virtual episodes are played than are asked for."""
+    """Encoded images are cached in a folder of the test, and no more virtual episodes are played
+    than are asked for.
+    """
     monkeypatch.setattr("lerobot_policy_obact.recordings.HF_LEROBOT_HOME", tmp_path)
     monkeypatch.setattr("lerobot_policy_obact.virtual_episodes.POOL", 1)
 
 
-def lerobot_train(monkeypatch: pytest.MonkeyPatch, root: Path, out: Path, **options: object) -> Path:
+def lerobot_train(
+    monkeypatch: pytest.MonkeyPatch, root: Path, out: Path, **options: object
+) -> Path:
     """Train for two steps, and return the checkpoint."""
-    AcceleratorState._reset_state(reset_partial_state=True)  # each command is a process of its own otherwise
-    options = {"policy.type": "obact", **{f"policy.{key}": value for key, value in (TINY | options).items()}}
-    options |= {"dataset.repo_id": "local/tiny", "dataset.root": root, "output_dir": out, "seed": 1, "steps": 2}
+    AcceleratorState._reset_state(
+        reset_partial_state=True
+    )  # each command is a process of its own otherwise
+    options = {
+        "policy.type": "obact",
+        **{f"policy.{key}": value for key, value in (TINY | options).items()},
+    }
+    options |= {
+        "dataset.repo_id": "local/tiny",
+        "dataset.root": root,
+        "output_dir": out,
+        "seed": 1,
+        "steps": 2,
+    }
     options |= {"batch_size": 2, "save_freq": 2, "num_workers": 0, "log_freq": 1}
-    words = [f"--{k}={v if isinstance(v, str | Path) else json.dumps(v)}" for k, v in options.items()]
+    words = [
+        f"--{k}={v if isinstance(v, str | Path) else json.dumps(v)}" for k, v in options.items()
+    ]
     monkeypatch.setattr(sys, "argv", ["lerobot-train", *words])
     main()
     return out / "checkpoints/last/pretrained_model"
@@ -73,15 +105,22 @@ def push_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     image = {"dtype": "image", "shape": (SIZE, SIZE, 3), "names": ["height", "width", "channel"]}
     vector = {"dtype": "float32", "shape": (2,), "names": None}
     features = {"observation.image": image, "observation.state": vector, "action": vector}
-    dataset = LeRobotDataset.create("local/tiny", fps=FPS, features=features, root=root, use_videos=False)
+    dataset = LeRobotDataset.create(
+        "local/tiny", fps=FPS, features=features, root=root, use_videos=False
+    )
     rng = np.random.default_rng(0)
     for _ in range(N_EPISODES):
         walk = rng.normal(size=(N_FRAMES + 1, 2)).cumsum(0).astype(np.float32)
         for t in range(N_FRAMES):
             picture = rng.integers(0, 256, (SIZE, SIZE, 3), dtype=np.uint8)
-            dataset.add_frame({
-                "observation.image": picture, "observation.state": walk[t], "action": walk[t + 1], "task": "push"
-            })  # fmt: skip
+            dataset.add_frame(
+                {
+                    "observation.image": picture,
+                    "observation.state": walk[t],
+                    "action": walk[t + 1],
+                    "task": "push",
+                }
+            )
         dataset.save_episode()
     dataset.finalize()
     return root
@@ -96,13 +135,20 @@ def hand_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def contact_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two recorded episodes of the contact track."""
-    return generated(tmp_path_factory.mktemp("contact") / "data", "--capture", "contact", "--image-size", "32")
+    return generated(
+        tmp_path_factory.mktemp("contact") / "data", "--capture", "contact", "--image-size", "32"
+    )
 
 
 RECORDED = {
-    "encoder": "eye", "encoder_options": {"channels": 8, "fovea": 12}, "freeze_encoder": True, "relative_dims": 3,
-    "n_obs_frames": None, "n_decisions": 3, "episodes_per_sample": 2,
-}  # fmt: skip
+    "encoder": "eye",
+    "encoder_options": {"channels": 8, "fovea": 12},
+    "freeze_encoder": True,
+    "relative_dims": 3,
+    "n_obs_frames": None,
+    "n_decisions": 3,
+    "episodes_per_sample": 2,
+}
 
 
 def step(policy: ObActPolicy, n: int = 2, seed: int = 0) -> dict[str, torch.Tensor]:
@@ -124,11 +170,13 @@ def learner(root: Path, **changes: object) -> ObActPolicy:
     return ObActPolicy(policy.config, dataset_stats=meta.stats, dataset_meta=meta).train()
 
 
-# -- training -----------------------------------------------------------------------------------------------------
+# -- training --------------------------------------------------------------------------------------
 
 
 def test_it_trains_on_a_dataset_that_is_not_ours(push_root, tmp_path, monkeypatch):
-    checkpoint = lerobot_train(monkeypatch, push_root, tmp_path / "out", head="gr00t", head_options=SMALL_GR00T)
+    checkpoint = lerobot_train(
+        monkeypatch, push_root, tmp_path / "out", head="gr00t", head_options=SMALL_GR00T
+    )
     policy = ObActPolicy.from_pretrained(checkpoint)
     assert policy.config.rig.fps == FPS
     assert not policy.config.forecasts
@@ -143,10 +191,14 @@ def test_images_in_tables_are_those_that_lerobot_reads(push_root):
 
 
 def test_it_learns_from_recorded_episodes_with_the_target_s_path(hand_root, tmp_path, monkeypatch):
-    policy = ObActPolicy.from_pretrained(lerobot_train(monkeypatch, hand_root, tmp_path / "out", **RECORDED))
+    policy = ObActPolicy.from_pretrained(
+        lerobot_train(monkeypatch, hand_root, tmp_path / "out", **RECORDED)
+    )
     config = policy.config
     assert config.forecasts
-    assert set(config.input_features) == {"observation.images.ego", "observation.state"}, "a robot has no phase"
+    assert set(config.input_features) == {"observation.images.ego", "observation.state"}, (
+        "a robot has no phase"
+    )
     assert (config.rig.palm_speed_m_s, config.rig.delay_frames) == (0.5, 0), "of class standard"
     pose = config.rig.calibration["observation.images.ego"]
     assert pose[:3] == pytest.approx([-0.15, 0.03, 0.21]), "where the hand's camera is"
@@ -155,7 +207,9 @@ def test_it_learns_from_recorded_episodes_with_the_target_s_path(hand_root, tmp_
 
 def test_on_the_contact_track_it_learns_to_close_and_to_hold(contact_root, tmp_path, monkeypatch):
     options = RECORDED | {"virtual_share": 1.0}
-    policy = ObActPolicy.from_pretrained(lerobot_train(monkeypatch, contact_root, tmp_path / "out", **options))
+    policy = ObActPolicy.from_pretrained(
+        lerobot_train(monkeypatch, contact_root, tmp_path / "out", **options)
+    )
     assert policy.config.grips
     assert policy.config.rig.palm_speed_m_s == 2.0
     observation = step(policy)
@@ -186,7 +240,9 @@ def test_the_loss_falls(changes: dict, falls: str, hand_root: Path):
         optimizer.step()
         policy.update()
         losses.append(told[falls])
-    assert ("forecast" in told) == ("closed_loop" in told) == (falls != "action"), "without a path there is neither"
+    assert ("forecast" in told) == ("closed_loop" in told) == (falls != "action"), (
+        "without a path there is neither"
+    )
     assert np.mean(losses[-10:]) < 0.85 * np.mean(losses[:10])
     one_each, _ = policy(LABELLED, reduction="none")
     assert one_each.shape == (4,)
@@ -199,20 +255,31 @@ def test_the_closed_loop_teaches_forecast_and_head(hand_root: Path):
         policy = learner(hand_root, episodes_per_sample=8, **weights)
         policy(LABELLED)[0].backward()
         parts = policy.model.head.base, policy.model.when, policy.model.belief.bend[-1]
-        pull[weight] = [0.0 if part.weight.grad is None else float(part.weight.grad.abs().max()) for part in parts]
+        pull[weight] = [
+            0.0 if part.weight.grad is None else float(part.weight.grad.abs().max())
+            for part in parts
+        ]
     assert max(pull[0.0]) < 1e-8
     assert min(pull[4.0]) > 1e-6
 
 
-def rolled_out(path: torch.Tensor, state: torch.Tensor, act_once, first: int = 10, late: int = 0) -> torch.Tensor:
-    """The loss of a model on a recorded (1, 60) path and hand, whose palm is rolled out from frame ``first`` on."""
+def rolled_out(
+    path: torch.Tensor, state: torch.Tensor, act_once, first: int = 10, late: int = 0
+) -> torch.Tensor:
+    """The loss of a model on a recorded (1, 60) path and hand, whose palm is rolled out from frame
+    ``first`` on.
+    """
     full = torch.tensor([60])
     targets = Targets(path, full, full, path, torch.tensor([NEVER]))
-    episodes = Episodes(torch.zeros(1, 60, 1, 5), state, torch.zeros(1, 60, 18), full, torch.tensor([10]), targets)
+    episodes = Episodes(
+        torch.zeros(1, 60, 1, 5), state, torch.zeros(1, 60, 18), full, torch.tensor([10]), targets
+    )
     config = SimpleNamespace(rig=Rig(delay_frames=late, palm_speed_m_s=0.5))
     model = SimpleNamespace(config=config, device="cpu", act_once=act_once)
     teacher = Teacher(20.0, 0.025, torch.zeros(15), torch.ones(15), 0.03)
-    return closed_loop_loss(model, torch.zeros(1, 24), episodes, torch.arange(first, first + 24)[None], teacher).sum()
+    return closed_loop_loss(
+        model, torch.zeros(1, 24), episodes, torch.arange(first, first + 24)[None], teacher
+    ).sum()
 
 
 @pytest.mark.parametrize("late", [0, 3])
@@ -230,13 +297,18 @@ def test_a_palm_is_rolled_out_from_when_the_first_command_takes_effect(late: int
 def test_a_training_step_mixes_no_devices(teacher: type[Teacher]):
     """Fake tensors need no GPU, and refuse what one would refuse."""
     rig = Rig(palm_speed_m_s=0.5, capture="contact" if teacher is Grip else "attach")
-    views = {f"observation.images.{view}": PolicyFeature(FeatureType.VISUAL, (3, 32, 32)) for view in ("ego", "side")}
+    views = {
+        f"observation.images.{view}": PolicyFeature(FeatureType.VISUAL, (3, 32, 32))
+        for view in ("ego", "side")
+    }
     inputs = views | {"observation.state": PolicyFeature(FeatureType.STATE, (18,))}
     config = hand_policy(**RECORDED, rig=rig, input_features=inputs).config
     path, full = torch.rand(2, 60, 3), torch.full((2,), 60)
     targets = Targets(path, full, full, path, torch.full((2,), NEVER))
     state = torch.zeros(2, 60, 18)
-    episodes = Episodes(torch.zeros(2, 60, 2, 5), state, state, full, torch.tensor([10, 12]), targets)
+    episodes = Episodes(
+        torch.zeros(2, 60, 2, 5), state, state, full, torch.tensor([10, 12]), targets
+    )
     expert = teacher(20.0, 0.025, torch.zeros(15), torch.ones(15), 0.03)
     rows, rolled = episodes.decision_rows(3, 0), rolled_rows(episodes, 0)
     decisions, seen = episodes.decisions(rows, expert, config), torch.cat([rows, rolled], dim=1)
@@ -251,7 +323,9 @@ def test_a_training_step_mixes_no_devices(teacher: type[Teacher]):
 
 
 def test_virtual_hands_stay_where_they_are_when_the_policy_moves(hand_root: Path, monkeypatch):
-    monkeypatch.setattr("lerobot_policy_obact.virtual_episodes.USES", 0)  # each call plays episodes of its own
+    monkeypatch.setattr(
+        "lerobot_policy_obact.virtual_episodes.USES", 0
+    )  # each call plays episodes of its own
     policy = learner(hand_root, virtual_share=1.0)
     policy(LABELLED)
     leader = deepcopy(policy.acting)
@@ -261,7 +335,10 @@ def test_virtual_hands_stay_where_they_are_when_the_policy_moves(hand_root: Path
 
 def test_the_closed_loop_loss_falls_where_the_head_learns_to_meet_the_target():
     """A head that sends every palm to one place, and a target that waits 12 cm away."""
-    path, goal = torch.tensor([0.1, 0.05, -0.05]).expand(1, 60, 3), torch.zeros(3, requires_grad=True)
+    path, goal = (
+        torch.tensor([0.1, 0.05, -0.05]).expand(1, 60, 3),
+        torch.zeros(3, requires_grad=True),
+    )
     head = lambda outlook, palm, state: torch.cat([goal.expand(1, 3), state[:, 3:]], dim=1)  # noqa: E731
     optimizer, losses = torch.optim.Adam([goal], lr=0.02), []
     for _ in range(60):
@@ -276,11 +353,16 @@ def test_the_closed_loop_loss_falls_where_the_head_learns_to_meet_the_target():
 
 @pytest.mark.parametrize("virtual_share", [0.0, 1.0], ids=["recorded", "virtual"])
 def test_it_learns_from_no_episode_that_lerobot_holds_out(virtual_share, hand_root, monkeypatch):
-    monkeypatch.setattr("lerobot_policy_obact.virtual_episodes.USES", 0)  # each call plays episodes of its own
+    monkeypatch.setattr(
+        "lerobot_policy_obact.virtual_episodes.USES", 0
+    )  # each call plays episodes of its own
     policy = learner(hand_root, virtual_share=virtual_share, episodes_per_sample=8)
 
     def named(*episodes: int) -> dict[str, torch.Tensor]:
-        return {"episode_index": torch.tensor(episodes), "action": torch.zeros(len(episodes), 4, 18)}
+        return {
+            "episode_index": torch.tensor(episodes),
+            "action": torch.zeros(len(episodes), 4, 18),
+        }
 
     policy(named(0, 1))
     policy.recordings.episodes.sightings[2:] = torch.nan
@@ -293,9 +375,13 @@ def test_it_learns_from_no_episode_that_lerobot_holds_out(virtual_share, hand_ro
     assert policy(named(0, 2))[0].isnan()
 
 
-def test_fingers_that_need_not_grip_hide_nothing_in_recorded_and_virtual_frames(hand_root: Path, monkeypatch):
+def test_fingers_that_need_not_grip_hide_nothing_in_recorded_and_virtual_frames(
+    hand_root: Path, monkeypatch
+):
     shown, applied = [], SightingErrors.applied
-    monkeypatch.setattr(SightingErrors, "applied", lambda self, true: shown.append(true) or applied(self, true))
+    monkeypatch.setattr(
+        SightingErrors, "applied", lambda self, true: shown.append(true) or applied(self, true)
+    )
     policy = learner(hand_root, virtual_share=1.0)
     policy(LABELLED)
     assert (policy.virtual.errors[0].true[:, 3] == 0).all()
@@ -303,16 +389,24 @@ def test_fingers_that_need_not_grip_hide_nothing_in_recorded_and_virtual_frames(
 
 
 def test_each_camera_starts_from_weights_of_its_own():
-    images = {f"observation.images.{view}": PolicyFeature(FeatureType.VISUAL, (3, 32, 32)) for view in ("ego", "side")}
+    images = {
+        f"observation.images.{view}": PolicyFeature(FeatureType.VISUAL, (3, 32, 32))
+        for view in ("ego", "side")
+    }
     state = {"observation.state": PolicyFeature(FeatureType.STATE, (18,))}
     policy = hand_policy(
-        input_features=images | state, encoder="eye", encoder_options={"weights": "{view}_96"}, relative_dims=3
+        input_features=images | state,
+        encoder="eye",
+        encoder_options={"weights": "{view}_96"},
+        relative_dims=3,
     )
     for eye, name in zip(policy.acting.encoders, ("ego_96", "side_96"), strict=True):
-        torch.testing.assert_close(eye.attention.query.weight, load_file(SHIPPED[name])["attention.query.weight"])
+        torch.testing.assert_close(
+            eye.attention.query.weight, load_file(SHIPPED[name])["attention.query.weight"]
+        )
 
 
-# -- acting -------------------------------------------------------------------------------------------------------
+# -- acting ----------------------------------------------------------------------------------------
 
 
 def with_processors(policy: ObActPolicy, folder: Path) -> Path:
@@ -366,7 +460,9 @@ def played(policy: ObActPolicy, rows: list[int], frames: int = 4) -> torch.Tenso
     """The actions of some of 32 environments, ``(T, B, A)``."""
     policy.reset()
     seen = [step(policy, n=32, seed=i) for i in range(frames)]
-    return torch.stack([policy.select_action({key: x[rows] for key, x in batch.items()}) for batch in seen])
+    return torch.stack(
+        [policy.select_action({key: x[rows] for key, x in batch.items()}) for batch in seen]
+    )
 
 
 def test_an_action_follows_from_what_was_seen_and_not_from_batch_order_interruption_or_chance():
@@ -390,7 +486,10 @@ def test_every_frame_has_noise_of_its_own():
 
 def test_frames_that_were_dropped_count_as_time_that_passed_also_between_chunks():
     policy = varied(n_obs_frames=None)
-    seen = [step(policy, seed=i) | {"timestamp": torch.tensor([t])} for i, t in enumerate((0.0, 0.1, 0.5))]
+    seen = [
+        step(policy, seed=i) | {"timestamp": torch.tensor([t])}
+        for i, t in enumerate((0.0, 0.1, 0.5))
+    ]
 
     def acted(batches: list[dict], act=policy.select_action) -> torch.Tensor:
         policy.reset()
@@ -402,7 +501,9 @@ def test_frames_that_were_dropped_count_as_time_that_passed_also_between_chunks(
     assert not torch.equal(with_drops[2], on_time[2])
     chunks = acted(seen, policy.predict_action_chunk)
     torch.testing.assert_close(chunks[:, :, 0], with_drops)
-    by_the_clock = acted([batch | {"timestamp": batch["timestamp"].double() + 1.7e9} for batch in seen])
+    by_the_clock = acted(
+        [batch | {"timestamp": batch["timestamp"].double() + 1.7e9} for batch in seen]
+    )
     torch.testing.assert_close(by_the_clock, with_drops, atol=1e-4, rtol=0)
 
 
@@ -423,8 +524,10 @@ def test_frames_are_ticks_of_the_robots_clock_however_often_and_late_a_caller_as
     monkeypatch.setattr("time.monotonic", lambda: next(clock))
     hurried = [policy.predict_action_chunk(step(policy, seed=i)) for i in (0, 0, 1, 2, 3)]
     policy.reset()
-    regular = [policy.predict_action_chunk(step(policy, seed=i) | {"timestamp": torch.tensor([0.05 * i])})
-               for i in range(4)]  # fmt: skip
+    regular = [
+        policy.predict_action_chunk(step(policy, seed=i) | {"timestamp": torch.tensor([0.05 * i])})
+        for i in range(4)
+    ]
     torch.testing.assert_close(torch.stack(hurried[1:]), torch.stack(regular))
 
 
@@ -446,12 +549,16 @@ def test_real_time_chunking_guides_no_chunk():
     assert supports_rtc_inference(policy)
     alone = policy.predict_action_chunk(step(policy))
     policy.reset()
-    after = policy.predict_action_chunk(step(policy), inference_delay=1, prev_chunk_left_over=torch.rand(2, 3, 18))
+    after = policy.predict_action_chunk(
+        step(policy), inference_delay=1, prev_chunk_left_over=torch.rand(2, 3, 18)
+    )
     torch.testing.assert_close(after, alone, rtol=0, atol=0)
 
 
 def test_a_frozen_encoder_that_describes_more_than_a_sighting_learns_from_recorded_hands(hand_root):
-    policy = learner(hand_root, encoder="conv", encoder_options={}, virtual_share=1.0, cache_images=False)
+    policy = learner(
+        hand_root, encoder="conv", encoder_options={}, virtual_share=1.0, cache_images=False
+    )
     loss, told = policy(LABELLED)
     assert loss.isfinite()
     assert "forecast" in told
@@ -484,7 +591,11 @@ def test_lerobot_s_policy_server_serves_it(tmp_path: Path):
     joints = [f"joint_{i}" for i in range(18)]
     features = {
         "observation.state": {"dtype": "float32", "shape": (18,), "names": joints},
-        "observation.images.ego": {"dtype": "image", "shape": (32, 32, 3), "names": ["h", "w", "c"]},
+        "observation.images.ego": {
+            "dtype": "image",
+            "shape": (32, 32, 3),
+            "names": ["h", "w", "c"],
+        },
     }
     specs = RemotePolicyConfig("obact", str(tmp_path), features, actions_per_chunk=3, device="cpu")
     assert "obact" in SUPPORTED_POLICIES, f"{launch_policy_server} adds it"
@@ -493,7 +604,9 @@ def test_lerobot_s_policy_server_serves_it(tmp_path: Path):
     server.SendPolicyInstructions(SimpleNamespace(data=pickle.dumps(specs)), client)
     image = torch.zeros(32, 32, 3, dtype=torch.uint8).numpy()
     observation = {**dict.fromkeys(joints, 0.1), "ego": image, "task": "catch"}
-    actions = server._predict_action_chunk(TimedObservation(timestamp=1.0, timestep=7, observation=observation))
+    actions = server._predict_action_chunk(
+        TimedObservation(timestamp=1.0, timestep=7, observation=observation)
+    )
     assert [action.get_timestep() for action in actions] == [7, 8, 9]
     assert all(action.get_action().shape == (18,) for action in actions)
 
@@ -525,11 +638,13 @@ ALONE = """if True:
     policy, seen = ObActPolicy.from_pretrained(checkpoint), torch.load(f"{out}/seen.pt")
     torch.save(torch.stack([policy.select_action(batch) for batch in seen]), f"{out}/actions.pt")
     training = {"teacher", "decisions", "recordings", "virtual_episodes"}
-    assert not training & {name.split(".")[-1] for name in sys.modules if name.startswith("lerobot_policy_obact")}
+    ours = [name for name in sys.modules if name.startswith("lerobot_policy_obact")]
+    assert not training & {name.split(".")[-1] for name in ours}
     import lerobot_policy_obact.virtual_episodes
     lerobot_policy_obact.virtual_episodes.POOL = 1
     meta = LeRobotDataset("local/tiny", root=root).meta
-    policy = ObActPolicy(policy.config, dataset_stats=meta.stats, dataset_meta=meta, load_pretrained=False).train()
+    given = {"dataset_stats": meta.stats, "dataset_meta": meta, "load_pretrained": False}
+    policy = ObActPolicy(policy.config, **given).train()
     loss, told = policy({"episode_index": torch.arange(4), "action": torch.zeros(4, 4, 18)})
     loss.backward()
     assert {"forecast", "action", "closed_loop"} <= set(told)
@@ -539,7 +654,9 @@ ALONE = """if True:
 
 def test_another_process_without_the_core_acts_the_same_and_trains(hand_root: Path, tmp_path: Path):
     """What labels episodes is imported for training alone, and nothing of the core at all."""
-    policy = varied(**RECORDED | {"cache_images": False, "virtual_share": 1.0, "episodes_per_sample": 1})
+    policy = varied(
+        **RECORDED | {"cache_images": False, "virtual_share": 1.0, "episodes_per_sample": 1}
+    )
     policy.save_pretrained(tmp_path / "checkpoint")
     seen = [step(policy, n=2, seed=i) for i in range(3)]
     torch.save(seen, tmp_path / "seen.pt")
@@ -548,9 +665,13 @@ def test_another_process_without_the_core_acts_the_same_and_trains(hand_root: Pa
     torch.testing.assert_close(torch.load(tmp_path / "actions.pt"), actions, atol=1e-4, rtol=0)
 
 
-def test_what_learned_from_the_targets_path_is_not_trained_where_there_is_none(hand_root: Path, monkeypatch):
+def test_what_learned_from_the_targets_path_is_not_trained_where_there_is_none(
+    hand_root: Path, monkeypatch
+):
     config = learner(hand_root).config
     config.pretrained_path = Path("ours")
     monkeypatch.setattr(recordings, "describe", lambda meta, cameras: Rig(fps=20.0))
-    with pytest.raises(ValueError, match="ours learned from the target's path, which local/other lacks"):
+    with pytest.raises(
+        ValueError, match="ours learned from the target's path, which local/other lacks"
+    ):
         ObActPolicy(config, dataset_meta=SimpleNamespace(repo_id="local/other"))

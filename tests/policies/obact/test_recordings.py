@@ -1,4 +1,6 @@
-"""Images are those that LeRobot reads; what is wrong with the cache of encoded ones costs a warning."""
+"""Images are those that LeRobot reads; what is wrong with the cache of encoded ones costs a
+warning.
+"""
 
 import os
 import shutil
@@ -44,7 +46,9 @@ def encode(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tor
     def call(**changes: object) -> torch.Tensor:
         for name, value in changes.items():
             setattr(config, name, value)
-        return recordings.encoded_images(SimpleNamespace(root=tmp_path / "none"), config, model, LENGTHS)
+        return recordings.encoded_images(
+            SimpleNamespace(root=tmp_path / "none"), config, model, LENGTHS
+        )
 
     call.calls = calls  # pyright: ignore[reportFunctionMemberAccess]
     return call
@@ -62,13 +66,19 @@ def test_every_image_is_the_one_that_lerobot_reads(dataset: Path):
         list(recordings._images(lerobot.meta, key, lengths))
 
 
-def test_episodes_from_elsewhere_leave_the_hand_known_and_only_actions_to_learn(dataset: Path, tmp_path: Path, caplog):
+def test_episodes_from_elsewhere_leave_the_hand_known_and_only_actions_to_learn(
+    dataset: Path, tmp_path: Path, caplog
+):
     root = shutil.copytree(dataset, tmp_path / "merged")
     # as LeRobot merges: what an episode lacks is null, and whole numbers become floats
     (file,) = (root / "meta/episodes").glob("*/*.parquet")
     table = pq.read_table(file)
     for number, field in enumerate(table.schema):
-        if field.name in (recordings.CAPTURE, recordings.WINDOW, *(f.key for f in episode_features())):
+        if field.name in (
+            recordings.CAPTURE,
+            recordings.WINDOW,
+            *(f.key for f in episode_features()),
+        ):
             cells = [None, *table[field.name].to_pylist()[1:]]
             kind = pa.float64() if pa.types.is_integer(field.type) else field.type
             table = table.set_column(number, field.name, pa.array(cells, kind))
@@ -80,8 +90,15 @@ def test_episodes_from_elsewhere_leave_the_hand_known_and_only_actions_to_learn(
     assert f"1 of {merged.total_episodes} episodes" in caplog.text
     features = dataset_to_policy_features(merged.features)
     inputs = {key: features[key] for key in ("observation.images.ego", "observation.state")}
-    options = {"encoder": "conv", "encoder_options": {"channels": 8}, "cache_images": False, "rig": rig}
-    config = ObActConfig(input_features=inputs, output_features={"action": features["action"]}, **options)
+    options = {
+        "encoder": "conv",
+        "encoder_options": {"channels": 8},
+        "cache_images": False,
+        "rig": rig,
+    }
+    config = ObActConfig(
+        input_features=inputs, output_features={"action": features["action"]}, **options
+    )
     found = recordings.Recordings.encoded(merged, config, ObActModel(config))
     assert found.teacher is None
     first, second, *_ = found.episodes.window
@@ -89,15 +106,25 @@ def test_episodes_from_elsewhere_leave_the_hand_known_and_only_actions_to_learn(
     assert found.episodes.window.dtype == torch.long
 
 
-def test_of_recordings_of_minutes_it_learns_ten_seconds_at_a_time_from_anywhere(monkeypatch: pytest.MonkeyPatch):
+def test_of_recordings_of_minutes_it_learns_ten_seconds_at_a_time_from_anywhere(
+    monkeypatch: pytest.MonkeyPatch,
+):
     config = ObActConfig(encoder="conv", encoder_options={"channels": 8}, **FEATURES)
     model, count = ObActModel(config), torch.tensor([1000, 150])
     frame = torch.minimum(torch.arange(1000), count[:, None] - 1)[..., None].float()
     episodes = Episodes(
-        torch.zeros(2, 1000, 1, 69), frame.expand(-1, -1, 18), frame.expand(-1, -1, 18), count, count * 0
+        torch.zeros(2, 1000, 1, 69),
+        frame.expand(-1, -1, 18),
+        frame.expand(-1, -1, 18),
+        count,
+        count * 0,
     )
     attended, encode = [], model.encode_history
-    monkeypatch.setattr(model, "encode_history", lambda frames, rows: attended.append(frames) or encode(frames, rows))
+    monkeypatch.setattr(
+        model,
+        "encode_history",
+        lambda frames, rows: attended.append(frames) or encode(frames, rows),
+    )
     for _ in range(20):
         episode_losses(model, episodes, None)
     seen = [frames.state[..., 0] for frames in attended]

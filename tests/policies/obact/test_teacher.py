@@ -1,4 +1,6 @@
-"""The teacher's closed form against a search, frame by frame, and against the expert that records the data."""
+"""The teacher's closed form against a search, frame by frame, and against the expert that records
+the data.
+"""
 
 import numpy as np
 import pytest
@@ -28,7 +30,9 @@ def targets_on(path: torch.Tensor) -> Targets:
     return Targets(path, length, length, path, torch.full_like(length, NEVER))
 
 
-def answers(path: torch.Tensor, due: torch.Tensor, palms: torch.Tensor, horizon: int = 1) -> Answers:
+def answers(
+    path: torch.Tensor, due: torch.Tensor, palms: torch.Tensor, horizon: int = 1
+) -> Answers:
     return Teacher(20.0, STEP_M, torch.zeros(15), torch.ones(15), RADIUS_M).answer(
         targets_on(path), due, palms, horizon
     )
@@ -42,7 +46,9 @@ def paths(n: int, frames: int = 60) -> torch.Tensor:
 
 
 def searched(path: torch.Tensor, due: int, palm: torch.Tensor, share: float) -> int | None:
-    """The first number of frames in which the palm gets near enough to the path at a share of its full speed."""
+    """The first number of frames in which the palm gets near enough to the path at a share of its
+    full speed.
+    """
     for ahead in range(1, len(path) - due):
         if (path[due + ahead] - palm).norm() <= share * STEP_M * ahead + SLACK * RADIUS_M:
             return ahead
@@ -54,7 +60,10 @@ def test_it_meets_the_target_at_the_first_point_in_reach_with_time_to_spare_if_t
     due, palms = torch.randint(0, 30, (20, 4)), torch.randn(20, 4, 3, 3) * 0.2
     told = answers(path, due, palms)
     for b, q, m in np.ndindex(20, 4, 3):
-        calm, found = (searched(path[b], int(due[b, q]), palms[b, q, m], share) for share in (PLANNED_SPEED, 1.0))
+        calm, found = (
+            searched(path[b], int(due[b, q]), palms[b, q, m], share)
+            for share in (PLANNED_SPEED, 1.0)
+        )
         assert bool(told.reachable[b, q, m]) == (found is not None)
         if found is not None:
             assert int(told.frames[b, q, m]) == (calm or found)
@@ -62,10 +71,15 @@ def test_it_meets_the_target_at_the_first_point_in_reach_with_time_to_spare_if_t
 
 
 @pytest.mark.parametrize(
-    ("start_m", "speed_m", "due", "frames"), [(5.0, 0.0, 10, 29), (5.0, 0.03, 10, 1), (0.035, 1.1 * STEP_M, 0, 1)]
+    ("start_m", "speed_m", "due", "frames"),
+    [(5.0, 0.0, 10, 29), (5.0, 0.03, 10, 1), (0.035, 1.1 * STEP_M, 0, 1)],
 )
-def test_out_of_reach_it_goes_where_it_is_the_least_late(start_m: float, speed_m: float, due: int, frames: int):
-    """A target that rests far away, one that flees, and a faster one close ahead, to which the gap is closed."""
+def test_out_of_reach_it_goes_where_it_is_the_least_late(
+    start_m: float, speed_m: float, due: int, frames: int
+):
+    """A target that rests far away, one that flees, and a faster one close ahead, to which the gap
+    is closed.
+    """
     path = torch.tensor([start_m, 0, 0]) + torch.arange(40)[:, None] * torch.tensor([speed_m, 0, 0])
     told = answers(path[None], torch.tensor([[due]]), torch.zeros(1, 1, 1, 3))
     assert not told.reachable.any()
@@ -73,7 +87,11 @@ def test_out_of_reach_it_goes_where_it_is_the_least_late(start_m: float, speed_m
 
 
 def test_the_radius_is_that_of_the_rule_of_capture():
-    known = {name: CAPTURES[name].localization_radius_m for name in CAPTURES.names() if CAPTURES[name].welds}
+    known = {
+        name: CAPTURES[name].localization_radius_m
+        for name in CAPTURES.names()
+        if CAPTURES[name].welds
+    }
     assert pytest.approx(known) == RADIUS_BY_RULE
 
 
@@ -89,7 +107,9 @@ def test_fingers_are_closed_before_the_meeting_and_open_long_before():
 def test_the_first_palm_is_the_one_that_was_there_and_the_others_are_near_it_or_the_target():
     torch.manual_seed(0)
     path, due, palm = paths(50), torch.full((50, 2), 20), torch.randn(50, 2, 3) * 0.1
-    palms = Teacher(20.0, STEP_M, torch.zeros(15), torch.ones(15), RADIUS_M).palms(targets_on(path), due, palm)
+    palms = Teacher(20.0, STEP_M, torch.zeros(15), torch.ones(15), RADIUS_M).palms(
+        targets_on(path), due, palm
+    )
     assert torch.equal(palms[:, :, 0], palm)
     for i, near in ((1, palm), (2, palm), (3, path[:, 20][:, None])):
         assert 0.01 < (palms[:, :, i] - near).norm(dim=-1).median() < 0.15
@@ -102,8 +122,13 @@ def test_a_palm_goes_no_farther_than_it_can_and_stops_where_it_should():
 
 
 def test_two_that_pass_each_other_between_frames_are_as_near_as_they_come():
-    start, end = torch.tensor([[1.0, 0.2, 0], [1.0, 0, 0]]), torch.tensor([[-1.0, 0.2, 0], [2.0, 0, 0]])
-    torch.testing.assert_close(passing_distance(start, end), torch.tensor([0.2, 1.0]), atol=1e-4, rtol=0)
+    start, end = (
+        torch.tensor([[1.0, 0.2, 0], [1.0, 0, 0]]),
+        torch.tensor([[-1.0, 0.2, 0], [2.0, 0, 0]]),
+    )
+    torch.testing.assert_close(
+        passing_distance(start, end), torch.tensor([0.2, 1.0]), atol=1e-4, rtol=0
+    )
 
 
 @pytest.mark.parametrize("late", [0, 3])
