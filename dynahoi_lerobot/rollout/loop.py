@@ -37,7 +37,7 @@ class Session:
         self, batch: WorldBatch, *, record_images: bool = True, render_later: bool = False
     ) -> None:
         """Play in ``batch``; episodes keep what was rendered, or are rendered at their end if it
-        ``renders_later``.
+        ``render_later``.
         """
         self.batch, self.record_images, self._render_later = batch, record_images, render_later
         self.observation: Observation | None = None
@@ -119,7 +119,7 @@ class Session:
         episode = recorder.freeze(self.batch, actor, meeting)
         if not self._render_later or (again and not episode.success):
             return episode
-        return replace(episode, images=self.batch.images_of(i, recorder.qpos))
+        return replace(episode, images=self.batch.images_of(i, recorder.visual_states))
 
 
 def play(
@@ -171,7 +171,12 @@ def play(
 
 
 def record(
-    recipe: Recipe, seeds: Sequence[int], *, batch_size: int = DEFAULT_BATCH, threads: int = 0
+    recipe: Recipe,
+    seeds: Sequence[int],
+    *,
+    batch_size: int = DEFAULT_BATCH,
+    threads: int = 0,
+    images: bool = True,
 ) -> Iterator[Episode]:
     """Yield the expert's successful episodes, in the order of ``seeds``; those it never manages are
     left out.
@@ -185,14 +190,19 @@ def record(
     batch = WorldBatch(recipe, min(batch_size, max(1, len(seeds))), threads)
     expert = Demonstrator(EXPERTS[recipe.expert](), recipe.perturbed_share)
     for episode in _in_order(
-        play(batch, expert, _fresh_jobs(recipe, seeds, threads), images=True, retry=True)
+        play(batch, expert, _fresh_jobs(recipe, seeds, threads), images=images, retry=True)
     ):
         if episode.success or recipe.keep_failures:
             yield episode
 
 
 def record_on_policy(
-    recipe: Recipe, seeds: Sequence[int], *, make_agent: Callable[[int], Agent], threads: int = 0
+    recipe: Recipe,
+    seeds: Sequence[int],
+    *,
+    make_agent: Callable[[int], Agent],
+    threads: int = 0,
+    images: bool = True,
 ) -> Iterator[Episode]:
     """Yield the episodes of ``seeds`` in their order, those that the policy fails included.
 
@@ -203,13 +213,14 @@ def record_on_policy(
         make_agent: returns the policy that the recipe names, whose random numbers follow from the
             seed given.
         threads: for physics, 0 for all cores; without influence on the result.
+        images: whether to record the recipe's views.
     """
     for first in range(0, len(seeds), DEFAULT_BATCH):
         group = seeds[first : first + DEFAULT_BATCH]
         agent = LabelledAgent(make_agent(group[0]), recipe.teacher(), recipe.actor)
         jobs = _fresh_jobs(recipe, group, threads)
         yield from _in_order(
-            play(WorldBatch(recipe, len(group), threads), agent, jobs, images=True)
+            play(WorldBatch(recipe, len(group), threads), agent, jobs, images=images)
         )
 
 
@@ -275,12 +286,15 @@ class ActionLog:
 
 
 class Replayer(Agent):
-    """Repeats given commands, those of one log a world, and looks at nothing."""
+    """Repeats given commands, those of one log a world, whatever it sees."""
 
     name = "player"
 
-    def __init__(self, logs: Sequence[ActionLog]) -> None:
-        self._logs = logs
+    def __init__(self, logs: Sequence[ActionLog], *, sees_images: bool = False) -> None:
+        """Repeat ``logs``; with ``sees_images`` every frame is drawn when it is played, as in the
+        environment.
+        """
+        self._logs, self.sees_images = logs, sees_images
         self._frame = 0
 
     def reset(self, count: int) -> None:
@@ -298,13 +312,19 @@ def played_again(recipe: Recipe, recorded: Episode) -> Episode | None:
     """Return what recording the episode's seed gives now; None if the expert does not manage it.
 
     Nothing but its seed matters, or in an on-policy recording the commands given, in the policy's
-    place.
+    place. The images are those of an environment that is given the commands, so that a recording
+    that shows something else is found.
     """
     seed = recorded.meta.seed
-    if not recipe.actor:
-        return next(record(recipe, [seed]), None)
-    replayer = Replayer([ActionLog(seed, recorded.given_action)])
-    return next(record_on_policy(recipe, [seed], make_agent=lambda _: replayer, threads=1))
+    if recipe.actor:
+        replayer = Replayer([ActionLog(seed, recorded.given_action)])
+        made = next(record_on_policy(recipe, [seed], make_agent=lambda _: replayer, images=False))
+    else:
+        made = next(record(recipe, [seed], images=False), None)
+    if made is None:
+        return None
+    (shown,) = replay(recipe, [ActionLog(seed, made.given_action, made.meta.attempts)])
+    return replace(made, images=shown.images)
 
 
 def replay(
@@ -316,7 +336,7 @@ def replay(
     Args:
         recipe: what was played.
         logs: one an episode; all are played side by side.
-        images: whether to record images.
+        images: whether to draw the recipe's views, if it has any, frame by frame.
         as_evaluated: whether an episode ends when an evaluation ends it, before a log that
             continues and after one that stops; by default it ends with its log.
     """
@@ -327,5 +347,6 @@ def replay(
         else Job(i, spec, len(log.actions), log.attempt)
         for i, (spec, log) in enumerate(zip(specs, logs, strict=True))
     ]
-    played = play(WorldBatch(recipe, len(logs)), Replayer(logs), jobs, images=images)
+    replayer = Replayer(logs, sees_images=images and recipe.image_size > 0)
+    played = play(WorldBatch(recipe, len(logs)), replayer, jobs)
     return [episode for _, episode in sorted(played, key=lambda pair: pair[0].index)]

@@ -83,7 +83,7 @@ def measure_frame(batch: WorldBatch, observation: Observation) -> dict[str, np.n
         "palm_distance": batch.palm_distance.copy(),
         "fingertip_distance": np.maximum(tips_m.min(axis=1), 0.0),
         "localized": batch.localized.copy(),
-        "qpos": batch.qpos,
+        "visual_state": batch.visual_state,
         **{name: getattr(contacts, name).copy() for name in CONTACTS},
     }
 
@@ -117,9 +117,9 @@ class WorldRecorder:
         return self.job.stop_settled and self.localized_frames > rule.settle_frames
 
     @property
-    def qpos(self) -> np.ndarray:
-        """(T, nq) the world's configuration in each frame."""
-        return np.stack([frame["qpos"] for frame in self.frames])
+    def visual_states(self) -> np.ndarray:
+        """(T, nq + ngeom) all that the images of each frame depend on."""
+        return np.stack([frame["visual_state"] for frame in self.frames])
 
     @property
     def full(self) -> bool:

@@ -57,18 +57,27 @@ class WorldFields:
         """Reset worlds without computing anything; the writes that follow need ``finish``."""
         self._batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
 
-    def copy(self, other: Self, i: int, qpos: np.ndarray) -> np.ndarray:
-        """Make the first rows look like row ``i`` of ``other`` with configurations (n, nq); return
-        (n,) their numbers.
+    @property
+    def visual_state(self) -> np.ndarray:
+        """(N, nq + ngeom) what changes the look of the worlds while an episode is played: MuJoCo's
+        configuration, and the opacity of every geom, since a string is invisible once it is cut.
+        """
+        return np.hstack([self.qpos, self.fields["geom_rgba"][..., 3]])
+
+    def copy(self, other: Self, i: int, visual_state: np.ndarray) -> np.ndarray:
+        """Make the first rows look like row ``i`` of ``other`` in n ``visual_state``,
+        (n, nq + ngeom); return (n,) their numbers.
 
         It needs ``forward`` then; what a simulation would need besides is not copied.
         """
-        rows = slice(len(qpos))
+        rows = slice(len(visual_state))
         for name, values in self.fields.items():
             values[rows] = other.fields[name][i]
         self._mocap_pos[rows], self._mocap_quat[rows] = other._mocap_pos[i], other._mocap_quat[i]
-        self.qpos[rows] = qpos
-        return np.arange(len(qpos))
+        self.qpos[rows], self.fields["geom_rgba"][rows, :, 3] = np.split(
+            visual_state, [self.qpos.shape[1]], axis=1
+        )
+        return np.arange(len(visual_state))
 
     def finish(self, ids: np.ndarray) -> None:
         """Recompute what depends on the written masses and positions, then the kinematics."""

@@ -175,9 +175,9 @@ class WorldBatch:
         return self._physics.target_velocity
 
     @property
-    def qpos(self) -> np.ndarray:
-        """(N, nq) MuJoCo's configuration of each world."""
-        return self._fields.qpos.copy()
+    def visual_state(self) -> np.ndarray:
+        """(N, nq + ngeom) all that an image of a world depends on and an episode changes."""
+        return self._fields.visual_state
 
     def tip_distance(self) -> np.ndarray:
         """Return (N, 5), signed distance of each fingertip to the target's surface [m], negative
@@ -219,16 +219,16 @@ class WorldBatch:
         """Whether images can be rendered once an episode has ended, by ``images_of``."""
         return self.recipe.image_size > 0 and not self.cameras.in_order
 
-    def images_of(self, i: int, qpos: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the views of world ``i`` in the first T frames of its episode, of which (T, nq)
-        ``qpos`` was recorded.
+    def images_of(self, i: int, visual_states: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the views of world ``i`` in the first T frames of its episode, of which
+        (T, nq + ngeom) ``visual_states`` were recorded.
 
         They are (T, H, W, 3) uint8, the same that ``observe`` would have shown.
         """
         spec = self.specs[i]
         assert spec is not None, "no episode has begun"
         self._stage = self._stage or Stage(self.scene, self.recipe, self._threads)
-        return self._stage.images(self._fields, i, spec, qpos)
+        return self._stage.images(self._fields, i, spec, visual_states)
 
     def world_state(self, observation: Observation) -> WorldState:
         """Return what an expert sees: the observation and everything the simulator knows."""

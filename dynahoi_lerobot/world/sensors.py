@@ -229,16 +229,16 @@ class Stage:
         self._cameras = Cameras(scene, self._batch, recipe, self._specs, self._frame)
 
     def images(
-        self, world: WorldFields, i: int, spec: EpisodeSpec, qpos: np.ndarray
+        self, world: WorldFields, i: int, spec: EpisodeSpec, visual_states: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Return (T, H, W, 3) uint8 of each view of an episode's first T frames, of which (T, nq)
-        ``qpos`` is known.
+        """Return (T, H, W, 3) uint8 of each view of an episode's first T frames, of which
+        (T, nq + ngeom) ``visual_states`` are known.
 
         They are those that `Cameras` would have shown while row ``i`` of ``world`` played ``spec``.
         """
         self._specs[:], parts = [spec] * STAGE_FRAMES, []
-        for first in range(0, len(qpos), STAGE_FRAMES):
-            rows = self._fields.copy(world, i, qpos[first : first + STAGE_FRAMES])
+        for first in range(0, len(visual_states), STAGE_FRAMES):
+            rows = self._fields.copy(world, i, visual_states[first : first + STAGE_FRAMES])
             self._frame[:] = first + np.arange(STAGE_FRAMES)
             self._batch.forward(rows, stage=KINEMATICS)
             parts.append(
