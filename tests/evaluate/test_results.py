@@ -14,21 +14,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from dynahoi_lerobot.core.reading import ReadError
-from dynahoi_lerobot.evaluate.results import Results, RunInfo, command_line, read_results
+from dynahoi_lerobot.evaluate.results import Results, command_line, read_results
 from dynahoi_lerobot.evaluate.summary import wilson
 from dynahoi_lerobot.metrics import METRICS
-from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK_ID
 from tests.evaluate.test_replay_results import set_head
-from tests.synthetic import synthetic_episode, write_results
+from tests.synthetic import run_info, synthetic_episode, write_results
 
-RUN = {
-    "policy": "reach",
-    "split": "test",
-    "capture": "attach",
-    "command": "dynahoi evaluate",
-    "fingerprint": "f1",
-}
-INFO = RunInfo(**RUN, extra={"n_obs_frames": 5})
+INFO = run_info(extra={"n_obs_frames": 5})
 
 
 def episodes(count: int = 6):
@@ -48,10 +41,7 @@ def folder(tmp_path: Path) -> Path:
 
 def test_the_files_are_as_documented(folder: Path):
     head = json.loads((folder / "metrics.json").read_text())
-    assert (
-        head.items()
-        >= {**RUN, "benchmark": BENCHMARK.version, "n": 6, "extra": {"n_obs_frames": 5}}.items()
-    )
+    assert head.items() >= {**vars(run_info()), "n": 6, "extra": {"n_obs_frames": 5}}.items()
     assert set(head["metrics"]) == set(METRICS.names())
     low, high = wilson(4, 6)
     expected = {"value": pytest.approx(4 / 6), "low": low, "high": high, "unit": "fraction", "n": 6}
@@ -81,7 +71,7 @@ def test_the_files_are_as_documented(folder: Path):
 
 
 def save(folder: Path, count: int) -> None:
-    write_results(folder, episodes(count), RunInfo(**RUN))
+    write_results(folder, episodes(count), run_info())
 
 
 @pytest.mark.parametrize("renamed", [0, 1, 2, 3])
@@ -152,7 +142,7 @@ DAMAGE: list[tuple[Callable[[Path], None], str]] = [
     (set_head(n=0), "disagree"),
     (repeat, "12000 episodes"),
     (set_head(n="4"), "n must be of type int, got '4'"),
-    (set_head(benchmark="v0"), f"episodes of benchmark 'v0' and '{BENCHMARK.version}'"),
+    (set_head(benchmark="v0"), f"episodes of benchmark 'v0' and '{BENCHMARK_ID}'"),
     (set_column("surplus", [0] * 6), "its column surplus"),
     (set_column("S_loc", ["a"] * 6), "its column S_loc"),
     (

@@ -12,7 +12,7 @@ import pytest
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.gif import write_gif
-from dynahoi_lerobot.evaluate.results import Results, RunInfo
+from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.evaluate.table import Table, metric_cell
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.report import figures, page, render_report
@@ -25,6 +25,7 @@ from dynahoi_lerobot.report.entries import (
 )
 from dynahoi_lerobot.report.page import clips_of, comparison_tables, page_content
 from tests.report.example_runs import example_run
+from tests.synthetic import run_info
 
 HOSTILE = (
     "<script>alert('x')</script><img src=https://evil.example/a.png onerror=alert(1)>\"&{{ "
@@ -80,8 +81,8 @@ def odd(runs: Path) -> list[Entry]:
 
 
 def named(policy: str, folder: str = "run", **extra: object) -> Results:
-    rows = ({"protocol": "observe_before_act", "control_class": "standard"},)
-    return Results(Path(folder), RunInfo(policy, "test", "attach", "cmd", "f", extra), rows, ())
+    recipe = extra.pop("recipe", {})
+    return Results(Path(folder), run_info(policy, extra=extra, **recipe), (), ())
 
 
 @pytest.mark.parametrize(
