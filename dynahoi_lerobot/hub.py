@@ -454,7 +454,12 @@ def checkpoint_card(folder: Path, repo: str) -> ModelCard:
         pipeline_tag="robotics", tags=["lerobot", "robotics", "dynahoi", kind],
         datasets=[dataset] if "/" in dataset else None,
     )  # fmt: skip
-    told = {"control_mode": JOINTS} | trained_for(folder)
+    trained = {"control_mode": JOINTS} | trained_for(folder)
+    told = {
+        name: ", ".join(value) if isinstance(value, tuple) else value
+        for name, value in trained.items()
+        if value not in ("", ())
+    }
     body = markdown_template(CARD).render(
         name=repo.rpartition("/")[2],
         type=kind,

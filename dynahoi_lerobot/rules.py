@@ -2,7 +2,6 @@
 moves the hand.
 """
 
-import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +10,7 @@ from dynahoi_lerobot.core.arguments import option
 from dynahoi_lerobot.core.control_mode import CONTROL_MODES, JOINTS
 from dynahoi_lerobot.core.conventions import DEFAULT_IMAGE_SIZE_PX, DETECTOR_IMAGE_SIZE_PX
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATES, EYE, Feature, frame_features
+from dynahoi_lerobot.core.nested import as_json
 from dynahoi_lerobot.core.protocols import (
     CONTROL_CLASSES,
     DEFAULT_CONTROL_CLASS,
@@ -138,4 +138,4 @@ class Rules:
 
     def stored(self) -> dict[str, Any]:
         """Return the values as files hold them, with the hand named."""
-        return dataclasses.asdict(self) | {"hand": self.hand_name}
+        return as_json(self) | {"hand": self.hand_name}

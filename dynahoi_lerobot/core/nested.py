@@ -3,6 +3,7 @@ a YAML file, LeRobot's ``--env.capture``.
 """
 
 import dataclasses
+import json
 from collections.abc import Mapping
 from typing import Any, get_type_hints
 
@@ -44,6 +45,14 @@ def changed[T](config: T, values: Mapping[str, Any]) -> T:
             value = values[entry.name]
             changes[entry.name] = tuple(value) if isinstance(value, list) else value
     return dataclasses.replace(config, **changes)  # type: ignore[type-var]
+
+
+def as_json(config: Any) -> dict[str, Any]:
+    """Return the values of a dataclass and of those within it, as JSON holds them: lists for
+    tuples.
+    """
+    values = dataclasses.asdict(config)
+    return json.loads(json.dumps(values))
 
 
 def nested(cls: type, values: Mapping[str, Any]) -> dict[str, Any]:

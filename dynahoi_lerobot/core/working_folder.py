@@ -82,12 +82,14 @@ def read_task(path: Path) -> dict[str, Any] | None:
 
 
 def differences(found: dict[str, Any], wanted: dict[str, Any]) -> str:
-    """Name what differs between two tasks, looking one mapping deep; empty if nothing does."""
+    """Name what differs between two tasks, at any depth of their mappings; empty if nothing
+    does.
+    """
     names: list[str] = []
     for key, value in wanted.items():
         inner = found.get(key)
         if isinstance(value, dict) and isinstance(inner, dict):
-            names += [name for name in value if inner.get(name) != value[name]]
+            names += filter(None, [differences(inner, value)])
         elif inner != value:
             names.append(key)
     return ", ".join(names)

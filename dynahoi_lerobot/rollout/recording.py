@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from dynahoi_lerobot.core.arguments import option
-from dynahoi_lerobot.core.nested import changed, field_names, flat, nested
+from dynahoi_lerobot.core.nested import as_json, changed, field_names, flat, nested
 from dynahoi_lerobot.core.reading import decoded, read_yaml, reading
 from dynahoi_lerobot.core.registry import known
 from dynahoi_lerobot.experts import EXPERTS
@@ -94,7 +94,7 @@ class Recording:
 
     def stored(self) -> dict[str, Any]:
         """Return the values as datasets hold them, with the expert named."""
-        return dataclasses.asdict(self) | {
+        return as_json(self) | {
             "recipe": self.recipe.stored(),
             "expert": self.expert_name,
         }

@@ -1,11 +1,10 @@
 """Recipe: which episodes are drawn, under which rules."""
 
-import dataclasses
 from dataclasses import dataclass, field
 from typing import Any, Self
 
 from dynahoi_lerobot.core.arguments import option
-from dynahoi_lerobot.core.nested import changed, marked
+from dynahoi_lerobot.core.nested import as_json, changed, marked
 from dynahoi_lerobot.core.protocols import PROTOCOLS
 from dynahoi_lerobot.core.registry import known
 from dynahoi_lerobot.motions import MOTIONS
@@ -125,7 +124,7 @@ class Recipe:
 
     def stored(self) -> dict[str, Any]:
         """Return the values as datasets and results hold them: of the salt only a hash."""
-        return dataclasses.asdict(self) | {"rules": self.rules.stored(), "salt": seal(self.salt)}
+        return as_json(self) | {"rules": self.rules.stored(), "salt": seal(self.salt)}
 
     def _check_split_of(self, noun: str, name: str) -> None:
         """Refuse what the benchmark holds out for another split, and what an ``ood_`` split holds

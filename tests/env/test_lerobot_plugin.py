@@ -22,7 +22,7 @@ from lerobot.envs.utils import (
 )
 from lerobot.scripts.lerobot_eval import main as lerobot_eval
 from lerobot.utils.import_utils import register_third_party_plugins
-from lerobot_env_dynahoi.command_line import new_results_folder, policy_name, policy_weights
+from lerobot_env_dynahoi.command_line import Launch, read_launch
 from lerobot_env_dynahoi.configuration_dynahoi import DynahoiEnvConfig
 
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
@@ -36,6 +36,7 @@ from dynahoi_lerobot.sampling.salt import stream_label
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.checkpoints import FEATURES, SHIPPED, tiny_act
+from tests.tools import edit_json
 
 SMALL = {"image_size": 32, "split": "test_small"}
 SALT = "nobody-shall-know-it"
@@ -126,9 +127,9 @@ def test_features_are_the_datasets_and_further_views_reach_the_policy(tmp_path: 
 
 @pytest.fixture
 def said(monkeypatch: pytest.MonkeyPatch) -> Callable:
-    def answer(words: list[str], function: Callable):
+    def answer(words: list[str]) -> Launch:
         monkeypatch.setattr(sys, "argv", words)
-        return function()
+        return read_launch()
 
     return answer
 
@@ -147,7 +148,8 @@ def test_results_are_named_after_the_policy_and_say_which_weights_lerobot_eval_p
         (["somebody's script"], "policy", {}),
         (["lerobot-eval", "--policy.path", "me/policy"], "me/policy", {}),
     ):
-        assert (said(words, policy_name), said(words, policy_weights)) == (name, played)
+        launch = said(words)
+        assert (launch.policy, launch.weights) == (name, played)
 
 
 def test_results_go_below_lerobots_output_folder(tmp_path: Path, said) -> None:
@@ -157,33 +159,40 @@ def test_results_go_below_lerobots_output_folder(tmp_path: Path, said) -> None:
         ["--output_dir=out/run"],
         ["--seed", "1", "--output_dir", "out/run", "--env.fps=20"],
     ):
-        assert said(["lerobot-eval", *words], new_results_folder).parent == Path("out/run/dynahoi")
-        assert said(["lerobot-train", recipe, *words], new_results_folder).parent == Path(
-            "out/run/dynahoi"
-        )
-    assert said(["lerobot-eval"], new_results_folder).parent == Path("outputs/dynahoi")
-    assert said(["lerobot-train", recipe], new_results_folder).parent == Path("outputs/act/dynahoi")
+        assert said(["lerobot-eval", *words]).output_dir == Path("out/run")
+        assert said(["lerobot-train", recipe, *words]).output_dir == Path("out/run")
+    assert said(["lerobot-eval"]).output_dir == Path("outputs")
+    launch = said(["lerobot-train", recipe])
+    assert launch.new_results_folder().parent == Path("outputs/act/dynahoi")
 
 
 def test_a_checkpoint_is_played_under_the_rules_it_was_trained_for(tmp_path, monkeypatch, capsys):
     checkpoint = shutil.copytree(SHIPPED, tmp_path / "late")
-    training = {"env": {"type": "dynahoi", "control_class": "late"}}
-    (checkpoint / "train_config.json").write_text(json.dumps(training))
+    edit_json(
+        checkpoint / "config.json", lambda config: config["rules"].update(control_class="late")
+    )
     monkeypatch.setattr("sys.argv", ["lerobot-eval", f"--policy.path={checkpoint}"])
-    own = DynahoiEnvConfig(protocol="direct_act")
+    config = DynahoiEnvConfig(protocol="direct_act", task="lob", results_dir=str(tmp_path / "out"))
+    assert config.features["observation.images.ego"].shape == (128, 128, 3)
+    own = config.create_envs(1)["projectile"][0].recipe.rules
     assert (own.control_class, own.image_size, own.protocol) == ("late", 96, "direct_act")
+    assert config.features["observation.images.ego"].shape == (96, 96, 3)
     assert "control_class late" in capsys.readouterr().out
     monkeypatch.setattr("sys.argv", ["lerobot-eval"])
-    assert DynahoiEnvConfig().control_class == "standard"
+    plain = DynahoiEnvConfig(task="lob", image_size=32, results_dir=str(tmp_path / "out"))
+    assert plain.create_envs(1)["projectile"][0].recipe.rules.control_class == "standard"
 
 
-def test_a_policy_of_two_cameras_gets_both(monkeypatch, capsys):
+def test_a_policy_of_two_cameras_gets_both(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(
         "sys.argv", ["lerobot-eval", f"--policy.path={SHIPPED.with_name('obact_two')}"]
     )
-    assert DynahoiEnvConfig().views == ("side",)
+    options = {"task": "lob", "results_dir": str(tmp_path / "out")}
+    both = DynahoiEnvConfig(**options).create_envs(1)["projectile"][0]
+    assert both.recipe.rules.views == ("side",)
     assert "views side" in capsys.readouterr().out
-    assert DynahoiEnvConfig(views=()).views == ()
+    one = DynahoiEnvConfig(views=(), **options).create_envs(1)["projectile"][0]
+    assert one.recipe.rules.views == ()
 
 
 @pytest.fixture(scope="module")

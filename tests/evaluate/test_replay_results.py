@@ -85,8 +85,7 @@ FORGERIES: list[tuple[Callable[[Path], None], str]] = [
     (easy_seed_twice, "seed {0} is there 2 times"),
     (more_attempts, "seed {0} took 3 attempts"),
     (longer_logs, "an evaluation with them"),
-    (another_version, "are of version v9"),
-    (set_head(code="0123456789abcdef"), "0123456789abcdef"),
+    (another_version, "are of benchmark v9"),
     (set_head(split="val"), "names split val"),
 ]
 """What is done to a result, and what is found; ``{i}`` stands for the seed of row i."""
@@ -113,6 +112,15 @@ def test_an_honest_result_replays_and_its_digests_are_told(
     assert (
         said.count("not the benchmark's") == said.count("not the benchmark's privileged: True") == 1
     )
+
+
+def test_results_of_other_code_are_replayed_with_a_word(
+    honest: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    other = shutil.copytree(honest, tmp_path / "other")
+    set_head(code="0123456789abcdef")(other)
+    assert main(["evaluate", "--replay", str(other)]) == 0
+    assert "made by other code" in capsys.readouterr().out
 
 
 def test_a_drawn_sample_can_be_drawn_again(honest: Path, capsys: pytest.CaptureFixture[str]):

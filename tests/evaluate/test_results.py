@@ -41,7 +41,9 @@ def folder(tmp_path: Path) -> Path:
 
 def test_the_files_are_as_documented(folder: Path):
     head = json.loads((folder / "metrics.json").read_text())
-    assert head.items() >= {**vars(run_info()), "n": 6, "extra": {"n_obs_frames": 5}}.items()
+    told = {**vars(run_info()), "n": 6, "extra": {"n_obs_frames": 5}}
+    assert {name: head[name] for name in told} == json.loads(json.dumps(told))
+    assert (head["split"], head["capture"]) == ("test", "attach")
     assert set(head["metrics"]) == set(METRICS.names())
     low, high = wilson(4, 6)
     expected = {"value": pytest.approx(4 / 6), "low": low, "high": high, "unit": "fraction", "n": 6}

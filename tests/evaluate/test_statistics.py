@@ -137,5 +137,6 @@ def test_many_evaluations_are_lines_and_few_are_columns_under_what_they_share():
 
 def test_the_contact_rule_leads_with_holding():
     _, _, _, *lines = results_table([results(), results(capture="contact")]).split("\n")
-    assert [line.split()[0] for line in lines][:3] == ["capture", "S_hold", "S_loc"]
+    first = [line.split()[0] for line in lines]
+    assert first[:4] == ["capture", "hand", "S_hold", "S_loc"]
     assert "S_hold" not in results_table([results()])

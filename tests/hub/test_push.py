@@ -85,8 +85,11 @@ def write_split(
     """Write the results of episodes that all are the same but for their seeds."""
     episode = synthetic_episode(0, image_size=None)
     info = run_info(policy, command=command, extra=extra, split=split, **recipe)
+    shown = {name: recipe[name] for name in ("protocol",) if name in recipe}
     write_results(
-        folder, [replace(episode, meta=replace(episode.meta, seed=seed)) for seed in seeds], info
+        folder,
+        [replace(episode, meta=replace(episode.meta, seed=seed, **shown)) for seed in seeds],
+        info,
     )
     return folder
 
@@ -204,7 +207,7 @@ def test_names_folders_and_options_that_do_not_fit(
     ("config", "mode"),
     [
         ({"type": "obact"}, "joints"),
-        ({"type": "act", "output_features": {"action": {"shape": [4]}}}, "grasp"),
+        ({"type": "act", "rules": {"control_mode": "grasp"}}, "grasp"),
     ],
 )
 def test_a_checkpoint_without_a_card_gets_one_and_a_card_that_is_there_stays(

@@ -265,7 +265,9 @@ META: dict[str, Forgery] = {
     "benchmark": told(MANIFEST, "benchmark", value="v0"),
     "failures": told(MANIFEST, "yields", "failed", value=3),
     "first seed of the plan": told(MANIFEST, "provenance", "seed", value=10),
-    "recipe": told(MANIFEST, "provenance", "recipe", "control_class", value="unlimited"),
+    "recipe": told(
+        MANIFEST, "provenance", "recording", "recipe", "rules", "control_class", value="unlimited"
+    ),
     "kinds of motion": column(ROWS, "motion", swapped),
     "parameters of motions": column(ROWS, "parameters", swapped),
     "masses": column(ROWS, "stats/object_mass", swapped),
