@@ -52,7 +52,7 @@ def main() -> None:
     args = parser.parse_args()
     torch.set_num_threads(1)
     views = () if args.camera == EGO_VIEW else (args.camera,)
-    recipe = Recipe(split=args.split, image_size=args.image_size, views=views, hand=args.hand)
+    recipe = Recipe.of(split=args.split, image_size=args.image_size, views=views, hand=args.hand)
     specs = sample_specs(recipe, range(args.episodes))
     eye = Eye(weights=args.eye).eval()
     eye.load_pretrained()
@@ -61,7 +61,7 @@ def main() -> None:
     )
     pose, (focal_px, _, centre_px, _) = calibration(eye_recipe)
     camera = Pinhole.from_pose(pose.tolist(), centre_px / focal_px, carried=args.camera == EGO_VIEW)
-    batch = WorldBatch(recipe, args.batch_size, threads=1)
+    batch = WorldBatch(recipe.rules, args.batch_size, threads=1)
     random = snapshots(batch, specs, np.random.default_rng(1), args.camera)
     stream = islice(random, args.images // args.batch_size)
     if args.visited_by is not None:
@@ -83,7 +83,7 @@ def _visited(
     """Let a policy play each episode in a world of its own, and yield what it sees while it
     acts.
     """
-    batch = WorldBatch(recipe, len(specs), threads=1)
+    batch = WorldBatch(recipe.rules, len(specs), threads=1)
     session = Session(batch, record_images=False)
     session.begin(np.arange(len(specs)), [Job.evaluation(i, spec) for i, spec in enumerate(specs)])
     policy.reset(len(specs))

@@ -29,6 +29,7 @@ from support.isolated import measure_apart
 from support.options import benchmark_parser, write_numbers
 from support.stages import stage_shares, stages_alone
 
+from dynahoi_lerobot.rollout.recording import Recording
 from dynahoi_lerobot.sampling.recipe import Recipe
 
 FIRST_SEED = 0
@@ -50,7 +51,10 @@ def ours(episodes: int, image_size: int, processes: int) -> dict[str, float]:
     from dynahoi_lerobot.rollout.loop import record
 
     plan = GenerationPlan(
-        Recipe(image_size=image_size), episodes, FIRST_SEED, shard_episodes=shard_size(episodes)
+        Recording.of(image_size=image_size),
+        episodes,
+        FIRST_SEED,
+        shard_episodes=shard_size(episodes),
     )
     first: list[tuple[float, int]] = []
 
@@ -75,7 +79,7 @@ def ours(episodes: int, image_size: int, processes: int) -> dict[str, float]:
 
 def theirs(episodes: int, image_size: int, processes: int, *, shadows: bool) -> dict[str, float]:
     """Record the same seeds with one plain env and one LeRobotDataset per process."""
-    recipe, share = Recipe(image_size=image_size), -(-episodes // processes)
+    recipe, share = Recipe.of(image_size=image_size), -(-episodes // processes)
     seeds = [
         list(range(k, min(k + share, FIRST_SEED + episodes)))
         for k in range(FIRST_SEED, episodes, share)

@@ -79,6 +79,7 @@ def main() -> int:
         return bool(differing)
     args.out.write_text(json.dumps(_in_lines(found), indent=1) + "\n")
     print(f"{args.out}: {BENCHMARK.version}, {sum(map(len, found['specs'].values()))} episodes")
+    print(f"EPISODES_DIGEST in dynahoi_lerobot/sampling/benchmark.py: {digest_of(found)}")
     return 0
 
 
@@ -103,19 +104,24 @@ def definition() -> str:
     return _digest(asdict(BENCHMARK))[:16]
 
 
+def digest_of(pinned: Pinned) -> str:
+    """Return the digest of all digests: ``EPISODES_DIGEST`` of `sampling/benchmark.py`."""
+    return _digest({name: pinned[name] for name in ("definition", "specs", "images")})[:8]
+
+
 def pinned_seeds(split: str) -> range:
     """Return the seeds of a split whose specs are pinned."""
     return range(BENCHMARK.splits[split].size or TRAIN_SEEDS)
 
 
 def spec_digests(split: str, seeds: Sequence[int], *, threads: int = 0) -> dict[int, str]:
-    """Return a digest of all that each spec holds but the fingerprint of the code, by seed."""
+    """Return a digest of all that each spec holds but its code, by seed."""
     specs = sample_specs(Recipe(split=split), seeds, threads=threads)
     return {spec.seed: spec_digest(spec) for spec in specs}
 
 
 def spec_digest(spec: EpisodeSpec) -> str:
-    """Return a digest of all that a spec holds but the fingerprint of the code."""
+    """Return a digest of all that a spec holds but its code."""
     return _digest(_content(spec))[:8]
 
 
@@ -126,10 +132,12 @@ def image_digests(
 
     Of every fifth frame in which a hand moves forwards and closes, from the hand's camera, 64 px.
     """
-    recipe = Recipe(split=split, image_size=IMAGE_PX)
+    recipe = Recipe.of(split=split, image_size=IMAGE_PX)
     first = IMAGE_EPISODES * BENCHMARK.streams.index(split)
     specs = sample_specs(recipe, range(first, first + count), threads=threads)
-    episodes = evaluate(WorldBatch(recipe, batch_size, threads), Closing(), specs, images=True)
+    episodes = evaluate(
+        WorldBatch(recipe.rules, batch_size, threads), Closing(), specs, images=True
+    )
     pixels = {
         f"{split}/{episode.meta.seed}": episode.images["ego"][::IMAGE_STRIDE]
         for episode in episodes
@@ -178,7 +186,7 @@ def _in_lines(pinned: Pinned) -> Pinned:
 
 def _content(spec: EpisodeSpec) -> dict[str, Any]:
     motion = [spec.motion.name, spec.motion.parameters()]
-    apart = ("open_joints", "reference_joints", "target_path_w")
+    apart = ("open_joints", "reference_joints", "target_path_w", "code")
     drawn = {name: value for name, value in vars(spec).items() if name not in apart}
     return {**drawn, "motion": motion, "oracle_path": spec.target_path_w, "fingerprint": ""}
 

@@ -187,7 +187,7 @@ async def follow_expert(tab: Tab, world: LiveWorld) -> None:
     box = await tab.value(corners)
     model, hand = world.batch.scene.model, world.batch.scene.hand
     axes = quat_to_matrix(camera_pose(model, EGO_VIEW)[3:])
-    focal, _, centre, _ = intrinsics(model, EGO_VIEW, world.recipe.image_size)
+    focal, _, centre, _ = intrinsics(model, EGO_VIEW, world.recipe.rules.image_size)
     held: set[str] = set()
     while world.finished is None:
         goal = world.expert_goal()
@@ -207,7 +207,7 @@ async def follow_expert(tab: Tab, world: LiveWorld) -> None:
 
 async def played(args: argparse.Namespace) -> dict[str, Any]:
     """Play the episodes; return the figures."""
-    recipe = Recipe(split="val", image_size=192)
+    recipe = Recipe.of(split="val", image_size=192)
     world, practice = (
         LiveWorld(rules, record_images=True) for rules in (recipe, replace(recipe, split="train"))
     )

@@ -26,7 +26,7 @@ from dynahoi_lerobot.generate import executors
 from dynahoi_lerobot.generate.pipeline import finished, generate
 from dynahoi_lerobot.generate.plan import GenerationPlan, ShardMaker
 from dynahoi_lerobot.rollout.loop import record
-from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.rollout.recording import Recording
 
 TINY = {
     "episodes": 2,
@@ -45,7 +45,7 @@ def made(
     """Make a dataset with ``workers`` processes, as ``tasks`` of datatrove if there are any."""
     shard_episodes = max(1, min(256, episodes // max(tasks, workers)))
     plan = GenerationPlan(
-        Recipe(image_size=image_size), episodes, seed, shard_episodes=shard_episodes
+        Recording.of(image_size=image_size), episodes, seed, shard_episodes=shard_episodes
     )
     merge_s, merge_shards = 0.0, ShardMaker.merge
 

@@ -29,7 +29,7 @@ from support.fixed_paths import (
 from support.options import benchmark_parser, pinned_benchmark, write_numbers
 from support.sightless import FINENESS, FRAMES, WIDTH, Rate, rate, sightless
 
-from dynahoi_lerobot.core.rules import CONTROL_CLASSES
+from dynahoi_lerobot.core.protocols import CONTROL_CLASSES
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.hands import HANDS
@@ -37,6 +37,7 @@ from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.motions import CATEGORIES
 from dynahoi_lerobot.objects import OBJECTS
 from dynahoi_lerobot.rollout.loop import evaluate
+from dynahoi_lerobot.rules import Rules
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -106,7 +107,7 @@ def play(control: str, name: str, specs: Sequence[EpisodeSpec], hand: str) -> di
     """Play one baseline in one control class; print and return its rates, also of each category and
     object.
     """
-    batch = WorldBatch(Recipe(control_class=control, hand=hand), min(WORLDS, len(specs)))
+    batch = WorldBatch(Rules(control_class=control, hand=hand), min(WORLDS, len(specs)))
     episodes = list(evaluate(batch, EXPERTS[name](), specs))
     rates = {
         "S_loc": rate([e.first_localized is not None for e in episodes]),

@@ -19,6 +19,7 @@ import torch
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ, EGO_VIEW
 from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.evaluate.arguments import make_actor
 from dynahoi_lerobot.evaluate.gif import BORDERS, phases_of, write_gif
 from dynahoi_lerobot.experts import EXPERTS
@@ -48,14 +49,14 @@ JPEG = [
 
 def catch() -> None:
     """Draw what ObAct catches and misses, side by side."""
-    recipe = Recipe(split="test", image_size=PLAYED_PX)
+    recipe = Recipe.of(split="test", image_size=PLAYED_PX)
     episodes = played("checkpoints/obact_standard", recipe, [CAUGHT, MISSED], SHOWN_PX, noise=0)
     write_gif(IMAGES / "catch.gif", side_by_side(episodes), fps=CONTROL_HZ / SKIP)
 
 
 def contact() -> None:
     """Draw what ObAct grips and what it only touches, side by side."""
-    recipe = Recipe(split="test", capture="contact", image_size=PLAYED_PX, views=("side",))
+    recipe = Recipe.of(split="test", capture="contact", image_size=PLAYED_PX, views=("side",))
     episodes = played("checkpoints/obact_contact", recipe, [*HELD, TOUCHED], HELD_PX, noise=0)
     write_gif(IMAGES / "held.gif", side_by_side(episodes), fps=CONTROL_HZ / SKIP)
 
@@ -68,12 +69,12 @@ def played(
     """
     specs = sample_specs(recipe, seeds)
     torch.manual_seed(noise)
-    episodes = evaluate(WorldBatch(recipe, len(specs)), make_actor(checkpoint), specs)
+    episodes = evaluate(WorldBatch(recipe.rules, len(specs)), make_actor(checkpoint), specs)
     logs = {
         episode.meta.seed: ActionLog(episode.meta.seed, episode.given_action)
         for episode in episodes
     }
-    shown = list(replay(replace(recipe, image_size=size), [logs[seed] for seed in seeds]))
+    shown = list(replay(changed(recipe, {"image_size": size}), [logs[seed] for seed in seeds]))
     for episode in shown:
         print(
             f"{episode.meta.motion}: {episode.stage}, nearest {100 * _nearest(episode)[1]:.1f} cm"
@@ -87,13 +88,16 @@ def motions() -> None:
         kinds = [
             kind for kind in BENCHMARK.splits["test"].motions if MOTIONS[kind].category == category
         ]
-        recipe = Recipe(split="test", image_size=KIND_PX)
+        recipe = Recipe.of(split="test", image_size=KIND_PX)
         specs = [
             sample_specs(replace(recipe, motions=(kind,)), [seed])[0]
             for seed, kind in enumerate(kinds)
         ]
         played = evaluate(
-            WorldBatch(recipe, len(specs)), EXPERTS[recipe.expert](), specs, images=True
+            WorldBatch(recipe.rules, len(specs)),
+            EXPERTS[recipe.rules.capture_rule.expert](),
+            specs,
+            images=True,
         )
         episodes = sorted(played, key=lambda episode: kinds.index(episode.meta.motion))
         write_gif(IMAGES / f"{category}.gif", side_by_side(episodes), fps=CONTROL_HZ / SKIP)
@@ -101,7 +105,7 @@ def motions() -> None:
 
 def contact_sheet() -> None:
     """Draw the expert on every kind of motion and every object, in still images."""
-    recipe, specs = Recipe(split="test", image_size=TILE_PX), []
+    recipe, specs = Recipe.of(split="test", image_size=TILE_PX), []
     unused, kinds = set(recipe.object_names), recipe.motion_names
     suited = {
         kind: [name for name in sorted(unused) if MOTIONS[kind].suits(OBJECTS[name])]
@@ -111,7 +115,14 @@ def contact_sheet() -> None:
         fresh = [name for name in suited[kind] if name in unused] or suited[kind]
         unused.discard(name := fresh[number % len(fresh)])
         specs += sample_specs(replace(recipe, motions=(kind,), objects=(name,)), [number])
-    episodes = list(evaluate(WorldBatch(recipe, 11), EXPERTS[recipe.expert](), specs, images=True))
+    episodes = list(
+        evaluate(
+            WorldBatch(recipe.rules, 11),
+            EXPERTS[recipe.rules.capture_rule.expert](),
+            specs,
+            images=True,
+        )
+    )
     strips = [
         _strip(e)
         for e in sorted(episodes, key=lambda episode: (episode.meta.category, episode.meta.motion))
@@ -123,10 +134,10 @@ def contact_sheet() -> None:
 
 def robot_hand() -> None:
     """Draw what the expert holds with the Shadow Hand, from three sides."""
-    recipe = Recipe(
+    recipe = Recipe.of(
         split="val", capture="contact", hand="shadow", motions=("constant",), objects=("ball",)
     )
-    batch = WorldBatch(recipe, 1)
+    batch = WorldBatch(recipe.rules, 1)
     next(evaluate(batch, EXPERTS["match"](), sample_specs(recipe, [0])))
     model = batch._batch.get_model(0)
     batch._batch.get_data(0, data := mujoco.MjData(model))

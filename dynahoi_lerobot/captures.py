@@ -25,8 +25,8 @@ from dynahoi_lerobot.core.conventions import (
 )
 from dynahoi_lerobot.core.episode import in_reference_grasp
 from dynahoi_lerobot.core.numerics import runs
+from dynahoi_lerobot.core.protocols import ControlClass
 from dynahoi_lerobot.core.registry import Registry
-from dynahoi_lerobot.core.rules import ControlClass
 from dynahoi_lerobot.motions import Motion, PhysicalMotion
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
 from dynahoi_lerobot.scene.model import ENVIRONMENT, HAND_BIT

@@ -27,6 +27,8 @@ from dynahoi_lerobot.core.registry import GROUP, import_plugin
 from dynahoi_lerobot.dataset.video import CODECS
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.rollout.loop import evaluate, record
+from dynahoi_lerobot.rollout.recording import Recording
+from dynahoi_lerobot.rules import Rules
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.fingerprint import LIBRARIES, installed_version
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -263,7 +265,7 @@ def plugins() -> Iterator[Fact]:
         yield Fact(f"plugin {entry.name}", entry.value, follows, problem=bool(caught))
 
 
-PACED = Recipe(image_size=64)
+PACED = Recording(Recipe(rules=Rules(image_size=64)))
 PACED_EPISODES = 16
 KNOWN_FRAMES_S, KNOWN_PROCESSOR_S, KNOWN_ELAPSED_S = 560.0, 520.0, 303.0
 """Where the quickstart was timed: speed of one core [frames/s]; the quickstart's processor time and
@@ -277,7 +279,7 @@ def pace() -> Iterator[Fact]:
     frames_s = frames_per_s()
     known_s = KNOWN_PROCESSOR_S if cores() == 1 else KNOWN_ELAPSED_S
     minutes = max(1.0, known_s * KNOWN_FRAMES_S / frames_s / 60)
-    told = f"{frames_s:.0f} frames/s per core at {PACED.image_size} px"
+    told = f"{frames_s:.0f} frames/s per core at {PACED.recipe.rules.image_size} px"
     yield Fact("pace", told, f"the quickstart takes about {minutes:.0f} min")
 
 
@@ -290,7 +292,7 @@ def frames_per_s() -> float:
 
 
 REFERENCE = Path(__file__).with_suffix(".npz")
-PLAYED = Recipe(split="test", image_size=32)
+PLAYED = Recipe(rules=Rules(image_size=32), split="test")
 EPISODES = 44
 """Every kind of motion twice."""
 STRIDE = 10
@@ -316,7 +318,10 @@ def play(count: int) -> Reference:
     """Return the first ``count`` episodes as this machine plays them."""
     specs = sample_specs(PLAYED, range(count), threads=0)
     played = evaluate(
-        WorldBatch(PLAYED, min(count, 22)), EXPERTS[PLAYED.expert](), specs, images=True
+        WorldBatch(PLAYED.rules, min(count, 22)),
+        EXPERTS[PLAYED.rules.capture_rule.expert](),
+        specs,
+        images=True,
     )
     episodes = sorted(played, key=lambda episode: episode.meta.seed)
     computing = LIBRARIES[:4]  # those that compute states and pixels

@@ -54,6 +54,7 @@ from dynahoi_lerobot.evaluate.results import (
     read_results,
 )
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.sampling.fingerprint import recipe_code
 from dynahoi_lerobot.sampling.salt import split_of
 from dynahoi_lerobot.verify.command import verify
 
@@ -337,7 +338,7 @@ def _replayed(results: Results, count: int | None) -> str:
     Raises:
         CommandError: if the results are not those of their commands.
     """
-    if results.info.fingerprint != results.recipe().fingerprint():
+    if results.info.code != recipe_code(results.recipe()):
         return (
             "they are of another version of the code, other libraries or another kind of processor"
         )
@@ -408,7 +409,7 @@ def variant(results: Results) -> str:
         ValueError: if there is no such split, capture rule or control class.
     """
     info = results.info
-    words = [info.benchmark, info.split, info.capture, results.rules["control_class"]]
+    words = [info.benchmark, info.split, info.capture, results.conditions["control_class"]]
     words += [_text(info.extra[name]) for name in ("inference", "settings") if info.extra.get(name)]
     words += [
         f"{name}_{_text(value)}"

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.rollout.loop import evaluate
@@ -74,7 +75,7 @@ def in_class(specs: list[EpisodeSpec], once: Once) -> Callable[[str], list[Episo
     @functools.cache
     def in_class(name: str) -> list[Episode]:
         chosen = specs if name == "standard" else specs[:22]
-        batch = WorldBatch(SMALL.changed(control_class=name), 22, threads=1)
+        batch = WorldBatch(changed(SMALL.rules, {"control_class": name}), 22, threads=1)
         return once(
             f"in class {name}", lambda _: by_seed(evaluate(batch, EXPERTS["intercept"](), chosen))
         )
@@ -92,8 +93,8 @@ def contact_episodes(once: Once) -> list[Episode]:
     """The expert's evaluation on the first 22 episodes of ``test`` under contact, without
     images.
     """
-    recipe = SMALL.changed(capture="contact")
-    batch, expert = WorldBatch(recipe, 22, threads=1), EXPERTS["match"]()
+    recipe = changed(SMALL, {"capture": "contact"})
+    batch, expert = WorldBatch(recipe.rules, 22, threads=1), EXPERTS["match"]()
     return once(
         "contact", lambda _: by_seed(evaluate(batch, expert, sample_specs(recipe, range(22))))
     )

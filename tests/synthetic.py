@@ -4,17 +4,19 @@ moving point.
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT, LOCALIZATION_RADIUS_M
 from dynahoi_lerobot.core.episode import Episode, EpisodeMeta
-from dynahoi_lerobot.core.rules import one_hot_phase
+from dynahoi_lerobot.core.protocols import one_hot_phase
 from dynahoi_lerobot.evaluate.results import Results, RunInfo
 from dynahoi_lerobot.motions.straight_line import Constant
 from dynahoi_lerobot.objects.primitives import Primitive, as_table, extent, solid_inertia
 from dynahoi_lerobot.rollout.recorder import TOUCH_M, next_frames
-from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK_ID
+from dynahoi_lerobot.sampling.recipe import Recipe
 
 REFERENCE = np.full(15, 1.0, np.float32)
 BALL = (Primitive("sphere", (0.02,)),)
@@ -80,12 +82,13 @@ def synthetic_episode(
         capture="attach",
         protocol="observe_before_act",
         control_class="standard",
+        control_mode="joints",
         window_frames=window,
         length_frames=frames,
         intercept_frame=arrival,
         attempts=1,
-        fingerprint="synthetic",
-        benchmark=BENCHMARK.version,
+        code="synthetic",
+        benchmark=BENCHMARK_ID,
     )
     return Episode(
         meta=meta,
@@ -114,6 +117,19 @@ def synthetic_episode(
         success=bool(localized[-1]),
         stage="captured" if localized[-1] else "missed",
     )
+
+
+def run_info(
+    policy: str = "reach",
+    *,
+    command: str = "dynahoi evaluate",
+    benchmark: str = BENCHMARK_ID,
+    extra: dict[str, Any] | None = None,
+    **recipe: Any,
+) -> RunInfo:
+    """Return what is told of a made-up evaluation; ``recipe`` are fields of recipe and rules."""
+    played = Recipe.of(**{"split": "test"} | recipe).stored()
+    return RunInfo(policy, played, command, "c1", extra or {}, benchmark)
 
 
 def write_results(folder: Path, episodes: Iterable[Episode], info: RunInfo) -> Results:

@@ -17,6 +17,7 @@ from dynahoi_lerobot.core.conventions import (
     LOCALIZATION_RADIUS_M,
 )
 from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.core.numerics import quat_to_matrix
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
@@ -159,13 +160,13 @@ class Closed(Expert):
 def played(spec: EpisodeSpec, capture: str, miss_m: float) -> Episode:
     """A closed hand at home, and a target that passes ``miss_m`` in front of it at 1 m/s."""
     passes = passing(spec, 1.0, miss_m, (spec.window_frames + ARRIVAL) * CONTROL_DT)
-    batch = WorldBatch(replace(SMALL, capture=capture), 1, threads=1)
+    batch = WorldBatch(replace(SMALL.rules, capture=capture), 1, threads=1)
     return next(evaluate(batch, Closed(), [passes]))
 
 
 @pytest.mark.parametrize("capture", ["attach", "attach_lenient"])
 def test_success_is_s_joint_whoever_plays(specs: list[EpisodeSpec], capture: str):
-    batch = WorldBatch(replace(SMALL, capture=capture), 4, threads=1)
+    batch = WorldBatch(replace(SMALL.rules, capture=capture), 4, threads=1)
     episodes = [
         e
         for name in ("intercept", "pursuit", "blind_path")
@@ -197,7 +198,7 @@ def test_weld_grasp_and_clock_follow_the_wider_radius(specs: list[EpisodeSpec]):
     assert lenient.meta.capture == "attach_lenient"
 
 
-RECIPE = SMALL.changed(capture="contact")
+RECIPE = changed(SMALL, {"capture": "contact"})
 PALM_BACK_M = -0.059
 
 
@@ -294,7 +295,7 @@ def test_the_touch_of_the_first_frame_is_the_mean_over_it(constant: EpisodeSpec)
 
 
 def caught(specs: list[EpisodeSpec], expert: str = "match") -> list[Episode]:
-    return list(evaluate(WorldBatch(RECIPE, 8, threads=1), EXPERTS[expert](), specs))
+    return list(evaluate(WorldBatch(RECIPE.rules, 8, threads=1), EXPERTS[expert](), specs))
 
 
 def test_the_expert_holds_nearly_everything_at_its_first_attempt(contact_episodes: list[Episode]):

@@ -10,7 +10,7 @@ import pytest
 from dynahoi_lerobot.core.agent import WorldState
 from dynahoi_lerobot.core.conventions import CONTROL_DT
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.rules import CONTROL_CLASSES, is_acting
+from dynahoi_lerobot.core.protocols import CONTROL_CLASSES, is_acting
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.dataset.quality_control import trajectory_problems
 from dynahoi_lerobot.experts import EXPERTS
@@ -19,7 +19,9 @@ from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.experts.match import approach
 from dynahoi_lerobot.metrics import measure
 from dynahoi_lerobot.rollout.loop import evaluate, record
+from dynahoi_lerobot.rollout.recording import Recording
 from dynahoi_lerobot.rollout.teacher_labels import Perturbation
+from dynahoi_lerobot.rules import Rules
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -72,7 +74,7 @@ def test_baselines_that_see_nothing_are_not_privileged():
 def test_every_expert_is_deterministic_and_commands_every_joint(
     name: str, specs: list[EpisodeSpec]
 ):
-    batch = WorldBatch(Recipe(image_size=32), 4, threads=1)
+    batch = WorldBatch(Rules(image_size=32), 4, threads=1)
     batch.reset(range(3), specs[:3])
     for _ in range(specs[0].window_frames + 3):
         world = batch.world_state(batch.observe(images=False))
@@ -128,14 +130,14 @@ def test_a_hand_that_follows_the_labels_loosely_is_closed_when_it_gets_there(
             labels = self.goals(world)
             return labels + np.pad(rng.normal(0.0, 0.015, (len(labels), 3)), ((0, 0), (0, 15)))
 
-    episodes = list(evaluate(WorldBatch(Recipe(image_size=0), 22, threads=1), Loose(), specs[:22]))
+    episodes = list(evaluate(WorldBatch(Rules(image_size=0), 22, threads=1), Loose(), specs[:22]))
     assert mean(episodes, "S_joint") >= 0.9 * mean(episodes, "S_loc")
 
 
 def test_the_label_is_the_meeting_and_in_the_window_that_of_the_start_of_control(
     specs: list[EpisodeSpec],
 ):
-    recipe = Recipe(image_size=0, split=specs[0].split, perturbed_share=0.0)
+    recipe = Recording.of(image_size=0, split=specs[0].split, perturbed_share=0.0)
     for episode in record(recipe, [spec.seed for spec in specs[:22]]):
         assert not trajectory_problems(episode)
         window, path = episode.meta.window_frames, episode.target_path
@@ -149,7 +151,7 @@ def test_the_label_is_the_meeting_and_in_the_window_that_of_the_start_of_control
 
 
 def test_the_expert_finds_back_when_its_palm_is_pulled_away():
-    pulled = Recipe(image_size=0, perturbed_share=1.0)
+    pulled = Recording.of(image_size=0, perturbed_share=1.0)
     episodes = list(record(pulled, range(22)))
     assert len(episodes) >= 0.9 * 22
     assert not any(map(trajectory_problems, episodes))

@@ -17,6 +17,7 @@ from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.hands.robot import RobotHand
 from dynahoi_lerobot.rollout.loop import evaluate
+from dynahoi_lerobot.rules import Rules
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.scene import scene
@@ -121,16 +122,18 @@ thumb opposes."""
 
 @pytest.mark.parametrize(("robot", "capture"), CAUGHT)
 def test_the_expert_catches_with_it(robot: str, capture: str) -> None:
-    recipe = Recipe(split="train", hand=robot, capture=capture)
+    recipe = Recipe.of(split="train", hand=robot, capture=capture)
     specs = sample_specs(recipe, range(11 if capture == "attach" else 22))
-    episodes = evaluate(WorldBatch(recipe, len(specs)), EXPERTS[recipe.expert](), specs)
+    episodes = evaluate(
+        WorldBatch(recipe.rules, len(specs)), EXPERTS[recipe.rules.capture_rule.expert](), specs
+    )
     assert sum(episode.success for episode in episodes) >= CAUGHT[robot, capture]
 
 
 @every_robot
 def test_policies_see_the_same_columns_and_the_camera_sees_past_it(robot: str) -> None:
     bundled, batch = (
-        WorldBatch(Recipe(hand=hand, image_size=64), 11) for hand in ("capsule", robot)
+        WorldBatch(Rules(hand=hand, image_size=64), 11) for hand in ("capsule", robot)
     )
     seen = []
     for one in (bundled, batch):

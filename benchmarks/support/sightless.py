@@ -14,11 +14,11 @@ from torch import nn
 
 from dynahoi_lerobot.core.agent import Observation
 from dynahoi_lerobot.core.conventions import CONTROL_DT, MIN_WINDOW_FRAMES
-from dynahoi_lerobot.core.rules import CONTROL_CLASSES
+from dynahoi_lerobot.core.protocols import CONTROL_CLASSES
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.evaluate.summary import wilson
 from dynahoi_lerobot.experts.baselines import fixed_path
-from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.rules import Rules
 from dynahoi_lerobot.world.batch import WorldBatch
 
 WORLDS = 64
@@ -210,7 +210,7 @@ _SCALE = np.array([POINT_SCALE_M] * 3 + [TIME_SCALE_S])
 
 
 def _first_observation(specs: Sequence[EpisodeSpec]) -> Observation:
-    batch = WorldBatch(Recipe(), len(specs))
+    batch = WorldBatch(Rules(), len(specs))
     batch.reset(range(len(specs)), specs)
     return batch.observe(images=False)
 

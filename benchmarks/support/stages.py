@@ -20,6 +20,8 @@ from dynahoi_lerobot.dataset import write_episodes, writer
 from dynahoi_lerobot.dataset.video import Encoding, encode
 from dynahoi_lerobot.rollout import loop as rollout
 from dynahoi_lerobot.rollout.loop import record
+from dynahoi_lerobot.rollout.recording import Recording
+from dynahoi_lerobot.rules import Rules
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -40,7 +42,7 @@ back into Python."""
 
 def stages_alone(image_size: int) -> dict[str, float]:
     """Return frames/s of physics, rendering and encoding, each alone on all cores."""
-    batch = WorldBatch(Recipe(split="test", image_size=image_size), WORLDS)
+    batch = WorldBatch(Rules(image_size=image_size), WORLDS)
     batch.reset(range(WORLDS), sample_specs(Recipe(split="test"), range(WORLDS)))
     images = batch.cameras.render()
     rates = {
@@ -101,4 +103,4 @@ def _add(seconds: dict[str, float], stage: str, more: float) -> None:
 
 
 def _write(root: Path, image_size: int, seeds: range) -> None:
-    write_episodes(root, record(Recipe(image_size=image_size), seeds, threads=1))
+    write_episodes(root, record(Recording.of(image_size=image_size), seeds, threads=1))

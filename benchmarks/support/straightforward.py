@@ -24,12 +24,13 @@ from dynahoi_lerobot.core.conventions import (
 )
 from dynahoi_lerobot.core.episode import in_reference_grasp
 from dynahoi_lerobot.core.features import CAMERA_KEY, FEATURES, frame_features, image_feature
-from dynahoi_lerobot.core.rules import one_hot_phase
+from dynahoi_lerobot.core.protocols import one_hot_phase
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.dataset.video import Encoding
 from dynahoi_lerobot.env.vector_env import observation_space
 from dynahoi_lerobot.experts.base import WorldView
 from dynahoi_lerobot.experts.intercept import Intercept
+from dynahoi_lerobot.rules import Rules
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_spec
 from dynahoi_lerobot.scene.world_fields import drive_for
@@ -50,10 +51,8 @@ class StraightforwardEnv(gym.Env):
         """Compile the model; with ``shadows`` it is drawn as MuJoCo draws by default, multisampled
         and with shadows.
         """
-        self.recipe, self._shadows = Recipe(split=split, image_size=image_size), shadows
-        self._writer = WorldBatch(
-            Recipe(), 1, threads=1
-        )  # writes an episode's numbers into a model
+        self.recipe, self._shadows = Recipe.of(split=split, image_size=image_size), shadows
+        self._writer = WorldBatch(Rules(), 1, threads=1)  # writes an episode's numbers into a model
         self._scene, self._commands = self._writer.scene, self._writer.commands
         self._limits_w = np.stack([self._commands.low, self._commands.high])
         self.model = self._writer._batch.get_model(0)
@@ -119,7 +118,7 @@ class StraightforwardEnv(gym.Env):
         return renderer.render()
 
     def _opened(self) -> mujoco.Renderer:
-        size = self.recipe.image_size
+        size = self.recipe.rules.image_size
         self.model.vis.quality.offsamples = 4 if self._shadows else 0
         self.model.vis.global_.offwidth = self.model.vis.global_.offheight = size
         self._renderer = renderer = mujoco.Renderer(self.model, size, size)
@@ -146,7 +145,7 @@ class StraightforwardEnv(gym.Env):
         return pose, self.data.qvel[dof : dof + 6].copy()
 
     def _observe(self) -> dict:
-        images = {"pixels": {"ego": self.render()}} if self.recipe.image_size else {}
+        images = {"pixels": {"ego": self.render()}} if self.recipe.rules.image_size else {}
         return images | {
             "agent_pos": (self.data.qpos[self._scene.hand_qpos] - self.origin).astype(np.float32),
             "phase": one_hot_phase(np.array(self.frame >= self.episode.window_frames)),
@@ -183,11 +182,14 @@ def record(root: Path, recipe: Recipe, seeds: list[int], *, shadows: bool = Fals
     from lerobot.configs.video import RGBEncoderConfig
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    env, encoding = StraightforwardEnv(recipe.image_size, recipe.split, shadows=shadows), Encoding()
+    env, encoding = (
+        StraightforwardEnv(recipe.rules.image_size, recipe.split, shadows=shadows),
+        Encoding(),
+    )
     dataset = LeRobotDataset.create(
         "local/straightforward",
         CONTROL_HZ,
-        _features(recipe.image_size),
+        _features(recipe.rules.image_size),
         root,
         rgb_encoder=RGBEncoderConfig(
             encoding.codec, crf=encoding.crf, preset=encoding.preset, g=encoding.gop, fast_decode=1

@@ -19,7 +19,7 @@ from dynahoi_lerobot.core.control_mode import CONTROL_MODES, GRASP
 from dynahoi_lerobot.core.conventions import PALM_DOF
 from dynahoi_lerobot.core.escaping import data_url
 from dynahoi_lerobot.core.files import write_atomically
-from dynahoi_lerobot.core.rules import is_acting
+from dynahoi_lerobot.core.protocols import is_acting
 from dynahoi_lerobot.dataset.columns import column_array
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.store import Store, frame_column

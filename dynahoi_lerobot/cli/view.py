@@ -15,17 +15,23 @@ import numpy as np
 from dynahoi_lerobot.cli.sample_page import column, read_episode, write_sample
 from dynahoi_lerobot.cli.thoughts import ThinkingAgent, drawn
 from dynahoi_lerobot.core.arguments import given_of, option, whole
-from dynahoi_lerobot.core.conventions import CONTROL_HZ, DEFAULT_IMAGE_SIZE_PX, SEED_LIMIT
+from dynahoi_lerobot.core.conventions import (
+    CONTROL_HZ,
+    DEFAULT_IMAGE_SIZE_PX,
+    EGO_VIEW,
+    SEED_LIMIT,
+)
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.escaping import data_url
 from dynahoi_lerobot.core.features import IMAGE_PREFIX
 from dynahoi_lerobot.core.files import write_atomically
+from dynahoi_lerobot.core.nested import changed
+from dynahoi_lerobot.core.protocols import is_acting
 from dynahoi_lerobot.core.reading import reading
-from dynahoi_lerobot.core.rules import is_acting
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.evaluate.arguments import (
+    AS_TRAINED,
     EXPERT_ALIAS,
-    TRAINED_FOR,
     TRUST,
     make_actor,
     playing_rules,
@@ -35,8 +41,10 @@ from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.renderers.views import VIEWS
 from dynahoi_lerobot.rollout.loop import evaluate, replay
+from dynahoi_lerobot.rules import Rules
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
-from dynahoi_lerobot.sampling.recipe import PLAYING, Recipe
+from dynahoi_lerobot.sampling.fingerprint import recipe_code
+from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.splits import kind_seeds
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -88,10 +96,8 @@ class Options:
         "attends to",
     )
     trust: bool = option(False, TRUST)
-    rules: dict[str, Any] = given_of(
-        Recipe, {*PLAYING} - {"split", "views", "motions", "environment_state"}, **TRAINED_FOR
-    )
-    view: str = option("ego", "camera, optionally its depth or segmentation", choices=VIEWS)
+    given: dict[str, Any] = given_of(Recipe, AS_TRAINED)
+    view: str = option(EGO_VIEW, "camera, optionally its depth or segmentation", choices=VIEWS)
     out: Path = option(Path("episode.gif"), "output file: .gif, .mp4 or .html")
 
 
@@ -153,19 +159,18 @@ def _sample(per_kind: int, options: Options) -> int:
 
 def _played(motion: str, options: Options) -> Clip:
     """Play a new episode with the policy or expert."""
-    given = dict(options.rules)
+    given = dict(options.given)
     if options.thoughts:
         actor = ThinkingAgent(options.policy, trust=options.trust)
     else:
-        actor = make_actor(
-            options.policy, given.get("capture", Recipe.capture), trust=options.trust
-        )
-    views = {*actor.views, options.view} - {"ego"}
+        actor = make_actor(options.policy, given.get("capture", Rules.capture), trust=options.trust)
+    if options.view != EGO_VIEW:
+        given["views"] = (*given.get("views", ()), options.view)
     if not BENCHMARK.splits_with(
         "motion", motion
     ):  # not part of the benchmark, so no split lists it
         given["motions"] = (motion,)
-    recipe = Recipe(split=options.split, views=tuple(sorted(views)), **playing_rules(given, actor))
+    recipe = changed(Recipe(split=options.split), playing_rules(given, actor))
     known = kind_seeds(recipe, motion)
     if options.seed >= len(known):
         raise ValueError(
@@ -174,7 +179,7 @@ def _played(motion: str, options: Options) -> Clip:
             f"{len(known) - 1}, got {options.seed}"
         )
     spec = sample_specs(recipe, [known[options.seed]])[0]
-    batch = WorldBatch(recipe, 1)
+    batch = WorldBatch(recipe.rules, 1)
     episode = next(evaluate(batch, actor, [spec], images=True))
     clip = _clip(episode, options.view, episode.meta.agent)
     if isinstance(actor, ThinkingAgent):
@@ -191,11 +196,12 @@ def _replayed(folder: Path, options: Options) -> Clip:
             f"{folder} has no episode with seed {options.seed}; it has {min(seeds)} to {max(seeds)}"
         )
     recipe = results.recipe()
-    if recipe.fingerprint() != results.info.fingerprint:
+    if recipe_code(recipe) != results.info.code:
         print("other code produced these results: the replay may differ from the evaluated episode")
     index = seeds.index(options.seed)
-    size = options.rules.get("image_size", recipe.image_size or DEFAULT_IMAGE_SIZE_PX)
-    shown = replace(recipe, image_size=size, views=() if options.view == "ego" else (options.view,))
+    size = options.given.get("image_size", recipe.rules.image_size or DEFAULT_IMAGE_SIZE_PX)
+    views = () if options.view == EGO_VIEW else (options.view,)
+    shown = changed(recipe, {"image_size": size, "views": views})
     (episode,) = replay(shown, [results.log(index)], as_evaluated=True)  # a log may go on for days
     return _clip(episode, options.view, results.info.policy)
 

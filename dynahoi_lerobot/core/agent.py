@@ -10,7 +10,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from dynahoi_lerobot.core.rules import ControlClass
+from dynahoi_lerobot.core.control_mode import JOINTS
+from dynahoi_lerobot.core.protocols import ControlClass
 from dynahoi_lerobot.core.spec import EpisodeSpec
 
 
@@ -99,9 +100,11 @@ class Actor(ABC):
         has_memory: what it does depends on earlier frames, so that all worlds must begin their
             episodes together.
         sees_images: turns rendering on.
-        environment_state: the recipe's ``environment_state`` that it needs; empty for none.
-        trained_for: values of fields of the recipe that it was trained for, such as ``image_size``,
-            as far as it tells.
+        environment_state: the ``environment_state`` that it needs of the rules; empty for none,
+            None if it needs one and does not tell which.
+        control_mode: what its commands are, one of ``CONTROL_MODES``; None for what the rules say.
+        trained_for: values of fields of the `Rules` that it was trained for, such as
+            ``image_size``, as far as it tells.
         views: the views it needs besides ``ego``.
         weights: sha256 of its files of weights, by name; empty if it has none.
         retries: how often it may begin a failed episode again; ``WorldState.attempt`` tells it that
@@ -114,7 +117,8 @@ class Actor(ABC):
     privileged: bool
     has_memory: ClassVar[bool]
     sees_images: bool = False
-    environment_state: str = ""
+    environment_state: str | None = ""
+    control_mode: str | None = None
     trained_for: Mapping[str, Any] = MappingProxyType({})
     views: tuple[str, ...] = ()
     weights: Mapping[str, str] = MappingProxyType({})
@@ -137,7 +141,7 @@ class Actor(ABC):
         self, observation: Observation, world_state: Callable[[Observation], WorldState]
     ) -> np.ndarray:
         """Return (N, 18) commands: palm position [m], home frame, and joint angles [rad] for the
-        next frame.
+        next frame; or (N, 4) in control mode ``grasp``.
 
         Args:
             observation: what a policy may see.
@@ -215,6 +219,7 @@ class Expert(Actor):
     name = "expert"
     privileged = True
     has_memory = False
+    control_mode = JOINTS
 
     def commands(
         self, observation: Observation, world_state: Callable[[Observation], WorldState]

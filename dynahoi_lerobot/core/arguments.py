@@ -3,9 +3,9 @@ options describes.
 """
 
 from argparse import SUPPRESS, ArgumentParser, ArgumentTypeError
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import MISSING, field, fields
+from dataclasses import MISSING, Field, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -85,7 +85,7 @@ def option(
         read: parses what is given, instead of the entry of ``READERS`` for the type of the field.
         repr: whether the ``repr`` of the dataclass shows it.
         settings: of argparse, such as ``choices``; or ``either``, True for those of which exactly
-            one must be given.
+            one must be given; or ``compared``, see `Rules`.
     """
     metadata = (
         {"help": text, "required": default is MISSING} | ({"type": read} if read else {}) | settings
@@ -106,52 +106,63 @@ def argument(text: str, **settings: Any) -> Any:
     return field(metadata={"help": text} | settings)
 
 
-def given_of(cls: type, only: Collection[str], **notes: str) -> Any:
-    """Return a dataclass field for what is given of another dataclass: values, by name, of its
-    fields ``only``.
+def given_of(cls: type, notes: Mapping[type, str] | None = None) -> Any:
+    """Return a dataclass field for what is given of another dataclass and of those within it:
+    values by name.
 
-    Each of them, an ``option`` of ``cls``, is an option here; ``notes`` add to the help of some.
+    Each of their ``option`` fields is an option here, unless this class has one of the same name.
+    ``notes`` add to the help of all options of a class.
     """
-    return field(
-        default_factory=dict, metadata={"part": {"cls": cls, "only": only, "notes": notes}}
-    )
+    return field(default_factory=dict, metadata={"part": cls, "notes": notes or {}})
 
 
-def add_options(
-    parser: ArgumentParser,
-    cls: type,
-    only: Collection[str] | None = None,
-    notes: Mapping[str, str] | None = None,
-) -> None:
-    """Declare the options and arguments that a dataclass describes; those ``only`` if that is not
-    None.
+def add_options(parser: ArgumentParser, cls: type) -> None:
+    """Declare the options and arguments that a dataclass describes.
 
     Values that are not given are left out, for the defaults of the dataclass.
     """
     hints, either = get_type_hints(cls), None
     for entry in fields(cls):
-        if only is not None and entry.name not in only:
-            continue
         if "part" in entry.metadata:
-            add_options(parser, **entry.metadata["part"])
+            for option_of, hint, note in _options_of(cls, entry):
+                _add_option(parser, option_of, hint, note)
             continue
-        hint = hints[entry.name]
-        read = next(
-            (read for kind, read in READERS.items() if hint in (kind, kind | None, list[kind])),
-            None,
-        )
-        settings = ({"type": read} if read else {}) | entry.metadata
-        told = "; ".join(filter(None, (settings["help"], (notes or {}).get(entry.name))))
-        if entry.default not in (MISSING, None, False, "", ()) and "default" not in told:
-            told += f" (default: {entry.default})"
-        settings |= {"help": told.replace("%", "%%"), "default": SUPPRESS}
         place: Any = parser
-        if settings.pop("either", False):
+        if entry.metadata.get("either"):
             place = either = either or parser.add_mutually_exclusive_group(required=True)
-        positional = "required" not in settings  # which argparse refuses for those
-        place.add_argument(
-            entry.name if positional else "--" + entry.name.replace("_", "-"), **settings
-        )
+        _add_option(place, entry, hints[entry.name])
+
+
+def _options_of(cls: type, part: Field[Any]) -> Iterator[tuple[Field[Any], Any, str]]:
+    """Yield the options that a ``given_of`` field of ``cls`` stands for, each with its type and
+    note.
+    """
+    own = {entry.name for entry in fields(cls)}
+    pending = [part.metadata["part"]]
+    while pending:
+        source = pending.pop()
+        hints = get_type_hints(source)
+        for entry in fields(source):
+            if is_dataclass(hints[entry.name]):
+                pending.append(hints[entry.name])
+            elif "help" in entry.metadata and entry.name not in own:
+                yield entry, hints[entry.name], part.metadata["notes"].get(source, "")
+
+
+def _add_option(place: Any, entry: Field[Any], hint: Any, note: str = "") -> None:
+    read = next(
+        (read for kind, read in READERS.items() if hint in (kind, kind | None, list[kind])), None
+    )
+    settings = ({"type": read} if read else {}) | entry.metadata
+    for ours in ("either", "compared"):
+        settings.pop(ours, None)
+    told = "; ".join(filter(None, (settings["help"], note)))
+    if entry.default not in (MISSING, None, False, "", ()) and "default" not in told:
+        told += f" (default: {entry.default})"
+    settings |= {"help": told.replace("%", "%%"), "default": SUPPRESS}
+    positional = "required" not in settings  # which argparse refuses for those
+    name = entry.name if positional else "--" + entry.name.replace("_", "-")
+    place.add_argument(name, **settings)
 
 
 def read_options(cls: type, given: Mapping[str, Any]) -> Any:
@@ -159,16 +170,11 @@ def read_options(cls: type, given: Mapping[str, Any]) -> Any:
     ``given``.
     """
     values = {entry.name: given[entry.name] for entry in fields(cls) if entry.name in given}
-    parts = {
-        entry.name: entry.metadata["part"]["only"]
-        for entry in fields(cls)
-        if "part" in entry.metadata
-    }
-    inner = {
-        name: {key: value for key, value in given.items() if key in only}
-        for name, only in parts.items()
-    }
-    return cls(**values, **inner)
+    for entry in fields(cls):
+        if "part" in entry.metadata:
+            names = {inner.name for inner, _, _ in _options_of(cls, entry)}
+            values[entry.name] = {key: value for key, value in given.items() if key in names}
+    return cls(**values)
 
 
 def refuse_given(options: Any, names: Iterable[str], remedy: str) -> None:

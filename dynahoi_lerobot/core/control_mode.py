@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import HAND_DOF, HAND_NAMES, PALM_DOF
+from dynahoi_lerobot.core.conventions import HAND_NAMES, PALM_DOF
 
 JOINTS, GRASP = "joints", "grasp"
 CONTROL_MODES = {
@@ -12,18 +12,6 @@ CONTROL_MODES = {
 """Names of the numbers of an action by mode. ``joints``: where the palm should be [m], home frame,
 and joint angles [rad]. ``grasp``: the palm's displacement from where it is now [m], along the same
 axes, and how far the hand is closed, from 0, open, to 1, its closed pose."""
-
-
-def mode_of(size: int) -> str:
-    """Return the control mode whose actions have ``size`` numbers.
-
-    Raises:
-        ValueError: if there is none, naming the sizes there are.
-    """
-    for mode, names in CONTROL_MODES.items():
-        if len(names) == size:
-            return mode
-    raise ValueError(f"an action has {HAND_DOF} or {len(CONTROL_MODES[GRASP])} numbers, got {size}")
 
 
 def from_grasp(

@@ -4,7 +4,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import GRASP_FRACTION, LARGEST_GRASP_FRACTION, PALM_DOF
+from dynahoi_lerobot.core.conventions import (
+    GRASP_FRACTION,
+    LARGEST_GRASP_FRACTION,
+    PALM_DOF,
+    UNIT_M,
+)
 
 
 @dataclass(frozen=True)
@@ -23,17 +28,18 @@ class EpisodeMeta:
         agent: who moved the hand (``intercept``, ``hold``, a policy's name; in an on-policy
             recording type and hash of its checkpoint, ``obact@...``).
         capture: the capture rule, ``attach``, ``attach_lenient`` or ``contact``.
-        protocol: one of ``rules.PROTOCOLS``.
+        protocol: one of ``protocols.PROTOCOLS``.
         control_class: limits of the hand and latency of its commands, ``unlimited``, ``standard``
             or ``late``.
+        control_mode: what an action is, ``joints`` or ``grasp``.
         window_frames: length of the observation window [frames].
         length_frames: L, the length of the expert's recording [frames]; a policy gets L control
             steps.
         intercept_frame: frame at which the oracle intercept takes place, counted from the episode's
             start.
         attempts: how many attempts the agent needed, from 1.
-        fingerprint: identifies the code and recipe that made the episode.
-        benchmark: version of the benchmark that the episode was drawn and played under.
+        code: fingerprint of the code that made the episode.
+        benchmark: identifies the benchmark that the episode was drawn and played under.
     """
 
     seed: int
@@ -47,11 +53,12 @@ class EpisodeMeta:
     capture: str
     protocol: str
     control_class: str
+    control_mode: str
     window_frames: int
     length_frames: int
     intercept_frame: int
     attempts: int
-    fingerprint: str
+    code: str
     benchmark: str
 
 
@@ -154,10 +161,16 @@ class Episode:
 
     @property
     def reward(self) -> np.ndarray:
-        """(T,) float32, 1 where the action leads to the first frame on which the episode is a
-        success, else 0.
+        """(T,) float32, the dense reward of the environment: 1 where the action leads to the first
+        frame on which the episode is a success, and in the control phase the change of
+        `potential`; 0 for the last action, whose outcome is not recorded.
         """
-        return np.diff(self.succeeded, prepend=False).astype(np.float32)
+        distance_m = np.linalg.norm(self.target_pose[:, :3] - self.palm_pos_h, axis=1)
+        closed = closure(self.joints, self.open_joints, self.reference_joints)
+        change = np.diff(potential(distance_m, closed), append=0.0)
+        change[: self.meta.window_frames] = 0.0
+        change[-1] = 0.0
+        return (np.diff(self.succeeded, prepend=False) + change).astype(np.float32)
 
     @property
     def done(self) -> np.ndarray:
@@ -198,6 +211,43 @@ def joints_reached(
     """
     rotation, wanted = joints - open_joints, reference - open_joints
     return rotation * np.sign(wanted) >= GRASP_FRACTION * np.abs(wanted) - 1e-6
+
+
+def closure(joints: np.ndarray, open_joints: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Return how far a hand is closed as the reference grasp demands, 0 (open) to 1.
+
+    The mean over the joints that the reference turns, each 1 within 0.9 to 1.2 of its rotation and
+    falling off linearly on either side.
+
+    Args:
+        joints: (..., 15) joint angles [rad].
+        open_joints: (..., 15) angles of the open hand [rad].
+        reference: (..., 15) angles of the reference grasp [rad].
+
+    Returns:
+        (...,) in [0, 1].
+    """
+    wanted = reference - open_joints
+    turned = np.abs(wanted) > 1e-6
+    share = (joints - open_joints) / np.where(turned, wanted, 1.0)
+    off = np.maximum(GRASP_FRACTION - share, share - LARGEST_GRASP_FRACTION)
+    reached = 1.0 - np.clip(off / GRASP_FRACTION, 0.0, 1.0)
+    return (reached * turned).sum(axis=-1) / np.maximum(turned.sum(axis=-1), 1)
+
+
+def potential(distance_m: np.ndarray, closed: np.ndarray) -> np.ndarray:
+    """Return how promising a state is: ``-d + c exp(-d)``, with d the distance from palm centre to
+    target centre in units of 0.1 m, and c the `closure`.
+
+    The first term draws the palm to the target, the second, 0 to 1, closes the hand near it: a
+    grasp of 0.8 is worth more than one of 0.7, although only 0.9 is a success.
+
+    Args:
+        distance_m: (...,) [m].
+        closed: (...,) in [0, 1].
+    """
+    distance_u = distance_m / UNIT_M
+    return closed * np.exp(-distance_u) - distance_u
 
 
 def in_reference_grasp(

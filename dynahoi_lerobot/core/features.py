@@ -27,7 +27,7 @@ from dynahoi_lerobot.core.conventions import (
     HAND_NAMES,
     JOINT_NAMES,
 )
-from dynahoi_lerobot.core.rules import PHASES
+from dynahoi_lerobot.core.protocols import PHASES
 
 OBSERVATION_PREFIX = "observation."
 """LeRobot gives policies the columns of this prefix, and no others."""
@@ -56,7 +56,7 @@ class Feature:
         low: least value in the Gymnasium space, in ``unit``; values beyond are clipped.
         high: greatest value, likewise.
         needs_contact_sensors: whether only capture rules with ``uses_contact_sensors`` have it.
-        on_request: whether policies and datasets get it only if the recipe's ``environment_state``
+        on_request: whether policies and datasets get it only if the rules' ``environment_state``
             asks for it.
         constant: whether it has one value per episode; a frame table repeats that value in every
             row.
@@ -99,8 +99,8 @@ class Feature:
         return self.needs_contact_sensors or self.on_request
 
     @property
-    def recipe_decides(self) -> bool:
-        """Whether only the recipe tells if a dataset has it, since every episode does."""
+    def rules_decide(self) -> bool:
+        """Whether only the rules tell if a dataset has it, since every episode does."""
         return self.on_request and self.derived
 
     @property
@@ -134,7 +134,7 @@ ENVIRONMENT_STATE = "observation.environment_state"
 """LeRobot's name for what policies read of the environment besides images."""
 TRUTH, EYE = "truth", "eye"
 ENVIRONMENT_STATES = {"": "", TRUTH: "environment_state", EYE: "sighting"}
-"""What it may be, by value of the recipe's ``environment_state``: the name of a feature."""
+"""What it may be, by value of the rules' ``environment_state``: the name of a feature."""
 SIGHTING_AGES = (0, 2, 4, 8)
 """Ages of the positions in a sighting [frames]."""
 SIGHTING_NAMES = (
@@ -324,7 +324,9 @@ _TABLE = (
         (),
         ("reward",),
         "1",
-        "1 if the action led to the first successful frame, else 0",
+        "the environment's dense reward: 1 if the action led to the first successful frame, and in "
+        "the control phase how much closer palm and target have come, and how much better the "
+        "hand is closed near the target",
         derived=True,
     ),
     Feature(
@@ -579,13 +581,6 @@ def frame_features(
             for feature in stored
         ),
     )
-
-
-def environment_state_of(shape: Sequence[int]) -> str:
-    """Return the recipe's ``environment_state`` under which policies read an ``ENVIRONMENT_STATE``
-    of a shape.
-    """
-    return EYE if tuple(shape) == FEATURES[ENVIRONMENT_STATES[EYE]].shape else TRUTH
 
 
 def episode_features() -> tuple[Feature, ...]:

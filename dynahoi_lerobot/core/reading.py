@@ -216,14 +216,23 @@ def decoded[T](kind: type[T], values: Any) -> T:
     """
     import draccus
 
-    hints = get_type_hints(kind)
     require({"it": values}, {"it": dict})
-    require(values, {name: hints[name] for name in values if name in hints})
+    _require_fields(kind, values)
     try:
         return draccus.decode(kind, values)
     except draccus.utils.DraccusException as error:
         told = error if isinstance(error, draccus.utils.DecodingError) else error.__cause__ or error
         raise ValueError(str(told)) from error
+
+
+def _require_fields(kind: type, values: dict[str, Any]) -> None:
+    """Refuse values that are not of the types of their fields, also of dataclasses in fields."""
+    hints = get_type_hints(kind)
+    for name, value in values.items():
+        if name in hints and is_dataclass(hints[name]) and isinstance(value, dict):
+            _require_fields(hints[name], value)
+        elif name in hints:
+            require(values, {name: hints[name]})
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

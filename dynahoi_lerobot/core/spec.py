@@ -26,7 +26,7 @@ class EpisodeSpec:
         target: the object to catch.
         appearance: textures, colours and light.
         task: the instruction.
-        protocol: one of ``rules.PROTOCOLS``.
+        protocol: one of ``protocols.PROTOCOLS``.
         hand: registered name of the hand.
         open_joints: (15,) joint angles of the open hand [rad], in which it waits.
         reference_joints: (15,) joint angles of the reference grasp [rad], which closes the hand
@@ -41,7 +41,7 @@ class EpisodeSpec:
         spin_rad_s: constant angular velocity of such a target about its own z axis.
         target_path_w: (F, 3) position of the untouched target at every frame [m], F = window + L +
             1.
-        fingerprint: identifies recipe and code.
+        code: fingerprint of the code that drew it.
     """
 
     seed: int
@@ -62,7 +62,7 @@ class EpisodeSpec:
     yaw_rad: float
     spin_rad_s: float
     target_path_w: np.ndarray = field(repr=False)
-    fingerprint: str
+    code: str
 
     @property
     def intercept_pos_h(self) -> np.ndarray:

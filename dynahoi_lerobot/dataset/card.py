@@ -71,7 +71,7 @@ def write_card(store: Store, manifest: Manifest) -> None:
         manifest=manifest,
         control_mode=GRASP if names == CONTROL_MODES[GRASP] else JOINTS,
         action_size=len(names),
-        recipe=manifest.provenance.get("recipe", {}),
+        recording=manifest.provenance.get("recording", {}),
         yields=manifest.yields,
         provenance=yaml.safe_dump(manifest.provenance, sort_keys=False).replace("```", "'''"),
         fps=CONTROL_HZ,

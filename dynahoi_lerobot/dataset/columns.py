@@ -12,7 +12,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from PIL import Image
 
-from dynahoi_lerobot.core.control_mode import mode_of
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import (
@@ -23,7 +22,7 @@ from dynahoi_lerobot.core.features import (
     action_feature,
     image_feature,
 )
-from dynahoi_lerobot.core.rules import is_acting
+from dynahoi_lerobot.core.protocols import is_acting
 from dynahoi_lerobot.dataset.video import MAX_PIXELS, Encoding
 
 Features = dict[str, dict[str, Any]]
@@ -54,8 +53,8 @@ def dataset_features(episode: Episode) -> tuple[Feature, ...]:
     of the episode's.
     """
     images = (image_feature(view, frames.shape[1]) for view, frames in episode.images.items())
-    told = FEATURES | {"action": action_feature(mode_of(episode.action.shape[1]))}
-    arrays = (feature for feature in told.values() if not feature.recipe_decides)
+    told = FEATURES | {"action": action_feature(episode.meta.control_mode)}
+    arrays = (feature for feature in told.values() if not feature.rules_decide)
     return (*images, *(feature for feature in arrays if getattr(episode, feature.name) is not None))
 
 

@@ -29,7 +29,7 @@ class Manifest:
         frames: number of frames.
         files: sha256 of every other file, by its path below the root.
         seeds: every episode's seed, in the dataset's order.
-        provenance: recipe, seed, encoding and code fingerprint of the generation plan.
+        provenance: recording, seed, encoding and code fingerprint of the generation plan.
         yields: how many seeds were tried and how many were kept, missed or rejected; how many of
             those kept failed.
         benchmark: version of the benchmark that the episodes are of.
@@ -45,6 +45,14 @@ class Manifest:
     yields: dict[str, int] = field(default_factory=dict)
     benchmark: str = ""
     sha256: str = field(default="", compare=False)
+
+    @property
+    def rules(self) -> dict[str, Any]:
+        """The values of the fields of `Rules` under which the episodes were played; empty if it
+        does not say.
+        """
+        recording = self.provenance.get("recording") or {}
+        return (recording.get("recipe") or {}).get("rules") or {}
 
     @property
     def digest(self) -> str:

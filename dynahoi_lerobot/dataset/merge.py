@@ -40,7 +40,7 @@ def merge(
     """Merge datasets of this project, in the given order, into a new one; ``root`` appears when it
     is complete.
 
-    Its manifest tells the ``provenance``: recipe, seed, encoding and code fingerprint.
+    Its manifest tells the ``provenance``: recording, seed, encoding and code fingerprint.
 
     Raises:
         FileExistsError: if ``root`` exists.

@@ -9,11 +9,12 @@ and disturbances up to the 0.2 m that recipes allow.
 
 import numpy as np
 
+from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.core.conventions import CONTROL_DT, GANTRY_RANGE_M, HAND_DOF, PALM_DOF
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import FEATURES
 from dynahoi_lerobot.core.numerics import runs
-from dynahoi_lerobot.core.rules import CONTROL_CLASSES, is_acting, one_hot_phase
+from dynahoi_lerobot.core.protocols import CONTROL_CLASSES, is_acting, one_hot_phase
 from dynahoi_lerobot.motions.launch import GRAVITY_M_S2
 
 PALM_SLACK_M = 0.005
@@ -67,9 +68,9 @@ def out_of_limits(episode: Episode) -> str | None:
     low, high = _palm_range(episode)
     least, most = JOINT_RANGE_RAD
     for name in ("state", "action", "given_action", "executed_action"):
-        values = getattr(episode, name)
-        if values.shape[1] != HAND_DOF:  # a displacement, not a place
+        if name == "action" and episode.meta.control_mode != JOINTS:  # a displacement, no place
             continue
+        values = getattr(episode, name)
         palm, joints = values[:, :PALM_DOF], values[:, PALM_DOF:]
         beyond = np.maximum(low - palm, palm - high)  # (T, 3), positive outside
         frame, axis = np.unravel_index(int(beyond.argmax()), beyond.shape)

@@ -381,7 +381,7 @@ def check_fits(episode: Episode, features: Sequence[Feature]) -> None:
     Raises:
         ValueError: naming the column, what a frame of the episode has and what the dataset needs.
     """
-    wanted = {feature.key: feature.shape for feature in features if not feature.recipe_decides}
+    wanted = {feature.key: feature.shape for feature in features if not feature.rules_decide}
     found = {feature.key: feature.shape for feature in frame_table.dataset_features(episode)}
     for key in (*wanted, *found):
         if wanted.get(key) != found.get(key):

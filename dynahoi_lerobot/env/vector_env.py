@@ -4,6 +4,7 @@
 
 import copy
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -15,11 +16,12 @@ from gymnasium.vector.utils import batch_space
 
 from dynahoi_lerobot.core.agent import Observation
 from dynahoi_lerobot.core.control_mode import JOINTS
-from dynahoi_lerobot.core.conventions import CONTROL_HZ, EGO_VIEW, PALM_DOF, SEED_LIMIT, UNIT_M
-from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.conventions import CONTROL_HZ, EGO_VIEW, FINGER_DOF, PALM_DOF, SEED_LIMIT
+from dynahoi_lerobot.core.episode import Episode, closure, potential
 from dynahoi_lerobot.core.features import Feature, as_gym
+from dynahoi_lerobot.core.nested import changed
+from dynahoi_lerobot.core.protocols import is_acting
 from dynahoi_lerobot.core.registry import known
-from dynahoi_lerobot.core.rules import is_acting
 from dynahoi_lerobot.metrics import measure
 from dynahoi_lerobot.rollout.inference import StepwiseInference
 from dynahoi_lerobot.rollout.loop import Session
@@ -37,14 +39,15 @@ RANDOM_SEED_LIMIT = 2**31
 """Seeds that the environment draws itself are below this."""
 SPARSE, DENSE = "sparse", "dense"
 REWARDS = {
-    SPARSE: "1 at the frame at which the episode ends in success, else 0",
-    DENSE: "the same, plus (d - d') / 0.1 m in the control phase: how much closer palm and "
-    "target have come",
+    SPARSE: "1 at the first step that begins in a frame by which the episode is a success, else 0",
+    DENSE: "the same, plus in the control phase P(s') - P(s), the change of P = c exp(-d) - d: how "
+    "much closer palm and target have come, and how much better the hand is closed near the target",
 }
-"""Name: formula. ``d`` and ``d'`` are the distances from palm centre to target centre before and
-after the step. This is potential-based shaping F = Phi(s') - Phi(s), with Phi = -d / 0.1 m (Ng,
-Harada and Russell, 1999, gamma = 1): its sum over an episode depends on the first and the last
-distance only, so it changes no policy's rank."""
+"""Name: formula. ``d`` is the distance from palm centre to target centre in units of 0.1 m, and
+``c`` the closure, 0 to 1, see ``core.episode.potential``. This is potential-based shaping (Ng,
+Harada and Russell, 1999, gamma = 1): its sum over an episode is P(last) - P(first), which depends
+on these two states only, so it changes no policy's rank. P is at most 1, of a closed hand at the
+target, and falls by 1 for each 0.1 m of distance."""
 
 
 class DynahoiVectorEnv(VectorEnv):
@@ -74,8 +77,8 @@ class DynahoiVectorEnv(VectorEnv):
         takes effect at once, or after 150 ms (``late``). With ``control_mode="grasp"`` (4,): the
         palm's displacement from its current position [m], and the closure of the hand, 0 to 1.
     Reward:
-        One of ``REWARDS``: 1 at the frame at which the episode ends in success, else 0
-        (``sparse``), or progress towards the target as well (``dense``).
+        One of ``REWARDS``: 1 when the episode has become a success, else 0 (``sparse``), or
+        progress towards the target and of the grasp as well (``dense``).
     Episode end:
         Terminated when the outcome is settled, half a second (``attach``) after localisation;
         truncated after L + 1 control steps, of which the last ignores its action and records where
@@ -116,7 +119,7 @@ class DynahoiVectorEnv(VectorEnv):
 
         Args:
             num_envs: N.
-            recipe: rules of the episodes; by default the default rules on split ``test``.
+            recipe: the episodes; by default those of split ``test`` under the default rules.
             kind: play this kind of motion only; None for all of the recipe.
             reward: one of ``REWARDS``.
             autoreset_mode: gymnasium's, or the value of one, such as ``SameStep``; see the class.
@@ -126,8 +129,8 @@ class DynahoiVectorEnv(VectorEnv):
             inference: timing of a policy whose inferences take time, for this env alone. A step is
                 then one call of the policy: some calls only fetch more of a chunk, return the same
                 observation and advance no world.
-            fields: fields of the recipe to change, such as ``split="val"`` or ``image_size=96``;
-                see ``Recipe``.
+            fields: fields of the recipe or its rules to change, such as ``split="val"`` or
+                ``image_size=96``; see ``Recipe`` and ``Rules``.
 
         Raises:
             ValueError: for an unknown name or a value out of range, naming those allowed.
@@ -137,21 +140,15 @@ class DynahoiVectorEnv(VectorEnv):
                 f"unknown render mode {render_mode!r}; known: {', '.join(RENDER_MODES)}, or None"
             )
         known("reward", reward, REWARDS)
-        self.num_envs, self.kind, self.reward, self.render_mode = (
-            num_envs,
-            kind,
-            reward,
-            render_mode,
-        )
-        played = recipe.changed(**fields)
-        self.recipe = (
-            played
-            if kind is None or kind in played.motion_names
-            else played.changed(motions=(kind,))
-        )
-        if inference is not None and self.recipe.control_mode != JOINTS:
+        self.num_envs, self.render_mode = num_envs, render_mode
+        self.kind, self.reward = kind, reward
+        self.recipe = changed(recipe, fields)
+        if kind is not None and kind not in self.recipe.motion_names:
+            self.recipe = replace(self.recipe, motions=(kind,))
+        rules = self.recipe.rules
+        if inference is not None and rules.control_mode != JOINTS:
             raise ValueError(
-                f"inference async needs control_mode {JOINTS!r}, got {self.recipe.control_mode!r}"
+                f"inference async needs control_mode {JOINTS!r}, got {rules.control_mode!r}"
             )
         mode = autoreset_mode.value if isinstance(autoreset_mode, AutoresetMode) else autoreset_mode
         self.autoreset_mode = known(
@@ -159,18 +156,16 @@ class DynahoiVectorEnv(VectorEnv):
         )
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
         self._threads, self._on_episode, self._inference = threads, on_episode, inference
-        self._batch = WorldBatch(self.recipe, num_envs, threads)
+        self._batch = WorldBatch(rules, num_envs, threads)
         self._session = Session(self._batch, record_images=False)
-        self.single_observation_space = observation_space(self.recipe.features())
+        self.single_observation_space = observation_space(rules.features)
         self.single_action_space = spaces.Box(*self._batch.commands.limits(), dtype=np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._numbers = np.zeros(num_envs, int)  # of the episodes, within split and kind
         self._max_frames = np.zeros(num_envs, int)  # of each world's episode
         self._success, self._ended = np.zeros((2, num_envs), bool)
-        self._distance_m = np.zeros(
-            num_envs
-        )  # from palm centre to target centre at the last frame, for ``DENSE``
+        self._potential = np.zeros(num_envs)  # at the last frame, for ``DENSE``
         self._one_episode = False
 
     def reset(
@@ -247,8 +242,9 @@ class DynahoiVectorEnv(VectorEnv):
             actions = due
         terminated, truncated = self._session.step(actions)
         ending = terminated | truncated
+        succeeded_before = self._success.copy()
         infos = self._infos(ending)
-        rewards = self._rewards(is_acting(before.phase), ending)
+        rewards = self._rewards(is_acting(before.phase), ending, succeeded_before)
         if self._one_episode:
             restarting = np.zeros(self.num_envs, bool)
         elif self.autoreset_mode == AutoresetMode.SAME_STEP:
@@ -370,7 +366,7 @@ class DynahoiVectorEnv(VectorEnv):
         jobs = [Job.evaluation(int(i), spec) for i, spec in zip(ids, specs, strict=True)]
         self._session.begin(ids, jobs)
         self._max_frames[ids], self._success[ids] = [job.frames for job in jobs], False
-        self._distance_m = self._measured_distance_m()
+        self._potential = self._measured_potential()
 
     def _infos(self, ending: np.ndarray) -> dict[str, Any]:
         """Finish the episodes of worlds ``ending`` (N,) bool; return the step's infos, see the
@@ -406,22 +402,30 @@ class DynahoiVectorEnv(VectorEnv):
             "_final_info": ending,
         }
 
-    def _rewards(self, acted: np.ndarray, ending: np.ndarray) -> np.ndarray:
+    def _rewards(
+        self, acted: np.ndarray, ending: np.ndarray, succeeded_before: np.ndarray
+    ) -> np.ndarray:
         """(N,) reward of a step, see ``REWARDS``; (N,) bool each: its action took effect, the
-        episode ends with it.
+        episode ends with it, it was a success before.
         """
-        rewards = (self._success & ending).astype(np.float64)
+        rewards = (self._success & ~succeeded_before).astype(np.float64)
         if self.reward == DENSE:
-            before_m, self._distance_m = self._distance_m, self._measured_distance_m()
+            before = self._potential
+            self._potential = self._measured_potential()
             playing = np.isin(np.arange(self.num_envs), self._session.playing) | ending
-            rewards += np.where(acted & playing, (before_m - self._distance_m) / UNIT_M, 0.0)
+            rewards += np.where(acted & playing, self._potential - before, 0.0)
         return rewards
 
-    def _measured_distance_m(self) -> np.ndarray:
-        """(N,) distance from palm centre to target centre [m]."""
-        return np.linalg.norm(
-            self._batch.target_pose[:, :3] - self._batch.state[:, :PALM_DOF], axis=1
-        )
+    def _measured_potential(self) -> np.ndarray:
+        """(N,) see `potential`."""
+        state = self._batch.state
+        specs = self._batch.specs
+        still = np.zeros(FINGER_DOF)
+        opened = np.stack([still if spec is None else spec.open_joints for spec in specs])
+        wanted = np.stack([still if spec is None else spec.reference_joints for spec in specs])
+        target_pos_h = self._batch.target_pose[:, :PALM_DOF]
+        distance_m = np.linalg.norm(target_pos_h - state[:, :PALM_DOF], axis=1)
+        return potential(distance_m, closure(state[:, PALM_DOF:], opened, wanted))
 
 
 class DynahoiEnv(gym.Env):

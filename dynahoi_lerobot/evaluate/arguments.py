@@ -1,22 +1,19 @@
 """What commands that play have in common: who moves the hand, and under which rules."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.core.agent import Actor
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.rules import Rules
 
 VLM = "vlm"
 """Name of the vision-language model at an endpoint, which ``dynahoi evaluate`` sets up."""
 
-TRAINED_FOR = dict.fromkeys(
-    ("capture", "control_class", "protocol", "control_mode", "image_size"),
-    "by default the setting that the policy was trained with",
-)
-"""Fields of a recipe that a policy may say it was trained for, with what that adds to their
-help."""
+AS_TRAINED = {Rules: "by default as the policy was trained"}
+"""What is added to the help of the rules where a policy plays."""
 
 TRUST = "load the checkpoint even if it can run code, and list the findings (docs/notes/trust.md)"
 """Help of ``--trust``, which every command that loads a policy has."""
@@ -55,12 +52,18 @@ def make_actor(
     return PolicyAgent(name, device, settings, trust=trust)
 
 
-def playing_rules(given: dict[str, Any], actor: Actor) -> dict[str, Any]:
-    """Return fields of the recipe to play by: those ``given``, and what the actor was trained for,
-    which is printed.
+def playing_rules(given: Mapping[str, Any], actor: Actor) -> dict[str, Any]:
+    """Return the values of fields of `Recipe` and `Rules` to play by: those ``given``, and what the
+    actor was trained for, which is printed where it is not the default.
     """
     trained = {name: value for name, value in actor.trained_for.items() if name not in given}
-    if trained:
-        told = ", ".join(f"--{name.replace('_', '-')} {value}" for name, value in trained.items())
-        print(f"{actor.name} plays as it was trained: {told}")
-    return trained | given
+    usual = Rules()
+    told = [
+        f"--{name.replace('_', '-')} {','.join(value) if isinstance(value, tuple) else value}"
+        for name, value in trained.items()
+        if value != getattr(usual, name)
+    ]
+    if told:
+        print(f"{actor.name} plays as it was trained: {', '.join(told)}")
+    views = tuple(dict.fromkeys((*given.get("views", ()), *actor.views)))
+    return trained | dict(given) | {"views": views}

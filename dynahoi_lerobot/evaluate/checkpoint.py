@@ -22,9 +22,8 @@ from typing import Any, get_type_hints
 
 import numpy as np
 
-from dynahoi_lerobot.core.control_mode import CONTROL_MODES, GRASP
 from dynahoi_lerobot.core.conventions import DETECTOR_IMAGE_SIZE_PX
-from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, EYE, IMAGE_PREFIX, environment_state_of
+from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, EYE, IMAGE_PREFIX
 from dynahoi_lerobot.core.reading import (
     ReadError,
     inside,
@@ -35,6 +34,8 @@ from dynahoi_lerobot.core.reading import (
     sha256,
     tensor_types,
 )  # fmt: skip
+from dynahoi_lerobot.renderers.views import OPTIONAL_VIEWS
+from dynahoi_lerobot.rules import Rules
 
 CONFIG, WEIGHTS, TRAINING = "config.json", "model.safetensors", "train_config.json"
 PIPELINES = ("policy_preprocessor.json", "policy_postprocessor.json")
@@ -210,36 +211,34 @@ def folder_weights(folder: Path) -> dict[str, str]:
 
 
 def trained_for(folder: Path) -> dict[str, Any]:
-    """Return what a checkpoint tells of the rules it was trained for: the values of some fields of
-    `Recipe`.
+    """Return the values of fields of `Rules` that a checkpoint was trained for, as far as it tells.
 
-    ``image_size`` [px] is that of the config's cameras, ``control_mode`` follows from the size of
-    its actions. A policy of what the eye sees, told by the size of its input, needs the images that
-    the eye learned from. ``capture``, ``control_class`` and ``protocol`` come from the recipe of
-    the dataset that ``train_config.json`` names, if that is on this machine, or else from its
-    ``env``.
+    They are those that its config holds, or else those of the dataset that ``train_config.json``
+    names, if that is on this machine, or else those of its ``env``. What it sees of them its inputs
+    say: views, size [px] of the images, and whether it reads an ``environment_state`` at all.
     """
-    config, training = (
-        read_object(file) if (file := folder / name).exists() else {} for name in (CONFIG, TRAINING)
-    )
+    config = read_object(file) if (file := folder / CONFIG).exists() else {}
+    training = read_object(file) if (file := folder / TRAINING).exists() else {}
     with reading(folder / (TRAINING if training else CONFIG)):
-        env, root = training.get("env") or {}, (training.get("dataset") or {}).get("root")
-        rules = _recipe_of(root) or (env if env.get("type") == "dynahoi" else {})
-        told = {
-            key: rules[key] for key in ("capture", "control_class", "protocol") if rules.get(key)
-        }
-        require(told, dict.fromkeys(told, str))
-        inputs = config.get("input_features", {})
-        if camera := next(
-            (feature for key, feature in inputs.items() if key.startswith(IMAGE_PREFIX)), None
-        ):
-            told["image_size"] = camera["shape"][-1]
-        if (state := inputs.get(ENVIRONMENT_STATE)) and environment_state_of(state["shape"]) == EYE:
-            told |= {"environment_state": EYE, "image_size": DETECTOR_IMAGE_SIZE_PX}
-        if config.get("output_features", {}).get("action", {}).get("shape") == [
-            len(CONTROL_MODES[GRASP])
-        ]:
-            told["control_mode"] = GRASP
+        env = training.get("env") or {}
+        root = (training.get("dataset") or {}).get("root")
+        rules = config.get("rules") or _rules_of_dataset(root)
+        if not rules and env.get("type") == "dynahoi":
+            rules = env
+        hints = get_type_hints(Rules)
+        told = {name: rules[name] for name in hints if rules.get(name) is not None}
+        require(told, {name: hints[name] for name in told})
+        inputs = config.get("input_features") or {}
+        told["views"] = tuple(view for view in OPTIONAL_VIEWS if IMAGE_PREFIX + view in inputs)
+        cameras = [feature for key, feature in inputs.items() if key.startswith(IMAGE_PREFIX)]
+        if cameras:
+            told["image_size"] = cameras[0]["shape"][-1]
+        else:
+            told.pop("image_size", None)
+        if ENVIRONMENT_STATE not in inputs:
+            told["environment_state"] = ""
+        elif told.get("environment_state") == EYE and not cameras:
+            told["image_size"] = DETECTOR_IMAGE_SIZE_PX
     return told
 
 
@@ -251,14 +250,13 @@ def hint_at_checkpoint(folder: Path) -> str:
     return f"; did you mean {nested[-1].parent}?" if nested else ""
 
 
-def _recipe_of(root: str | None) -> dict[str, Any]:
-    """Return the recipe of the dataset in ``root``, as far as there is one."""
-    from dynahoi_lerobot.dataset.manifest import (
-        Manifest,
-    )  # whose package brings in PyAV, which only checkpoints need
+def _rules_of_dataset(root: str | None) -> dict[str, Any]:
+    """Return the rules of the dataset in ``root``, as far as there is one."""
+    # its package brings in PyAV, which only checkpoints need
+    from dynahoi_lerobot.dataset.manifest import Manifest
 
     with suppress(ReadError):
-        return Manifest.read(Path(root)).provenance.get("recipe") or {} if root else {}
+        return Manifest.read(Path(root)).rules if root else {}
     return {}
 
 

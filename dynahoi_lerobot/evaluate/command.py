@@ -9,17 +9,17 @@ from typing import Any
 
 from tqdm import tqdm
 
-from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.core.agent import Actor, Agent, ChunkAgent
 from dynahoi_lerobot.core.arguments import given_of, number, option, refuse_given, whole
 from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, TRUTH
+from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, EYE, TRUTH
+from dynahoi_lerobot.core.nested import changed
+from dynahoi_lerobot.core.protocols import PROTOCOLS
 from dynahoi_lerobot.core.reading import ReadError
-from dynahoi_lerobot.core.rules import CONTROL_CLASSES, PROTOCOLS
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.evaluate import replay_results
-from dynahoi_lerobot.evaluate.arguments import TRAINED_FOR, TRUST, VLM, make_actor, playing_rules
+from dynahoi_lerobot.evaluate.arguments import AS_TRAINED, TRUST, VLM, make_actor, playing_rules
 from dynahoi_lerobot.evaluate.results import Results, RunInfo, kept_results, read_results
 from dynahoi_lerobot.evaluate.table import kind_table, results_table
 from dynahoi_lerobot.experts import EXPERTS
@@ -31,7 +31,8 @@ from dynahoi_lerobot.rollout.inference import (
     RealTimeAgent,
 )
 from dynahoi_lerobot.rollout.loop import evaluate
-from dynahoi_lerobot.sampling.recipe import PLAYING, Recipe
+from dynahoi_lerobot.rules import Rules
+from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.splits import SMALL_TEST, split_seeds
 from dynahoi_lerobot.vlm.prompt import DEFAULT_PROMPT, PROMPTS
@@ -73,13 +74,7 @@ class Options:
         "with --replay: seed of the draw, as printed by an earlier replay",
         whole(0, 2**32 - 1),
     )
-    rules: dict[str, Any] = given_of(
-        Recipe,
-        {*PLAYING} - {"split", "views"},
-        environment_state=f"by default what the policy reads; {TRUTH} must be given, and makes "
-        f"it privileged",
-        **TRAINED_FOR,
-    )
+    given: dict[str, Any] = given_of(Recipe, AS_TRAINED)
     batch_size: int = option(
         32,
         "worlds simulated in parallel, without effect on the results of baselines and ObAct; 1 "
@@ -131,7 +126,7 @@ def run(options: Options) -> int:
         raise ValueError(f"--replay-seed {options.replay_seed} is for --replay RESULTS")
     if options.replay:
         return replay_results.run(
-            options.replay, options.rules.get("salt", ""), options.episodes, options.replay_seed
+            options.replay, options.given.get("salt", ""), options.episodes, options.replay_seed
         )
     if options.gifs and not options.out:
         raise ValueError(f"--gifs {options.gifs} needs --out, the folder to write them to")
@@ -139,12 +134,11 @@ def run(options: Options) -> int:
         refuse_given(options, FOR_VLM, f"is for --policy {VLM}, not {options.policy}")
     inference = Inference(options.inference, options.inference_ms)
     actor = _real_time(_actor(options), inference)
-    rules = playing_rules(options.rules, actor)
-    recipe = Recipe(split=options.split, views=actor.views, **rules)
-    if inference.mode != SYNC and recipe.control_mode != JOINTS:
+    recipe = changed(Recipe(split=options.split), playing_rules(options.given, actor))
+    if inference.mode != SYNC and recipe.rules.control_mode != JOINTS:
         raise ValueError(
             f"--inference {inference.mode} needs control_mode {JOINTS!r}, got "
-            f"{recipe.control_mode!r}"
+            f"{recipe.rules.control_mode!r}"
         )
     info = RunInfo.begun(
         actor.name if options.policy == VLM else options.policy,
@@ -204,13 +198,20 @@ def _batch_size(options: Options, inference: Inference) -> int:
 
 
 def _actor(options: Options) -> Actor:
-    capture = options.rules.get("capture", Recipe.capture)
+    capture = options.given.get("capture", Rules.capture)
     actor = (
         _vlm(options)
         if options.policy == VLM and not options.set
         else make_actor(options.policy, capture, options.device, options.set, trust=options.trust)
     )
-    shown = options.rules.get("environment_state")
+    shown = options.given.get("environment_state")
+    if actor.environment_state is None:
+        if not shown:
+            raise ValueError(
+                f"{options.policy} reads {ENVIRONMENT_STATE}, and its checkpoint does not say "
+                f"which; add --environment-state {TRUTH} or {EYE}"
+            )
+        actor.environment_state, actor.privileged = shown, shown == TRUTH
     if actor.environment_state == TRUTH and shown is None:
         raise ValueError(
             f"{options.policy} reads {ENVIRONMENT_STATE}, the simulator's truth; add "
@@ -235,20 +236,18 @@ def _vlm(options: Options) -> Agent:
         raise ValueError(
             "--policy vlm needs --model NAME, and --base-url URL unless the model is OpenAI's"
         )
-    recipe = Recipe(split=options.split, **options.rules)
-    if PROTOCOLS[recipe.protocol].blind_control:
+    rules = changed(Recipe(split=options.split), options.given).rules
+    if PROTOCOLS[rules.protocol].blind_control:
         raise ValueError(
             f"--policy vlm decides by what it sees while acting, which is nothing under "
-            f"{recipe.protocol}"
+            f"{rules.protocol}"
         )
     client = VlmClient(
         options.model,
         options.base_url,
         timeout_s=options.request_timeout,
         prompt=options.prompt,
-        palm_speed_m_s=CAPTURES[recipe.capture].palm_speed_m_s(
-            CONTROL_CLASSES[recipe.control_class]
-        ),
+        palm_speed_m_s=rules.capture_rule.palm_speed_m_s(rules.control),
         log=options.out / "vlm.jsonl" if options.out else None,
     )
     return VlmAgent(client, name=f"vlm:{options.model}:{options.prompt}")
@@ -275,7 +274,7 @@ def _played(
     """
     if not specs:
         return
-    batch = WorldBatch(recipe, min(size, len(specs)))
+    batch = WorldBatch(recipe.rules, min(size, len(specs)))
     shown = set(split_seeds(options.split)[: options.gifs])
     with tqdm(
         total=len(specs), desc=f"{options.policy} on {options.split}", unit="episode"
@@ -284,7 +283,7 @@ def _played(
             if (
                 len(group) < batch.size
             ):  # a policy's noise depends on the number of worlds, also when it is resumed
-                batch = WorldBatch(recipe, len(group))
+                batch = WorldBatch(recipe.rules, len(group))
             played = []
             images = any(spec.seed in shown for spec in group)
             for episode in evaluate(batch, actor, group, images=images):

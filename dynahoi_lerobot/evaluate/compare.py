@@ -9,17 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import PALM_DOF
-from dynahoi_lerobot.evaluate.results import Results
+from dynahoi_lerobot.evaluate.results import CONDITIONS, Results
 from dynahoi_lerobot.evaluate.rows import identity
 from dynahoi_lerobot.evaluate.summary import RESAMPLES, SEED, Estimate, bootstrap
 from dynahoi_lerobot.metrics import METRICS, Metric
 from dynahoi_lerobot.sampling.salt import refuse_mixed_streams, refuse_to_mix
 
-CROSSABLE = ("protocol", "control_class", "inference", "render_noise", "path_speed")
-"""Conditions that may be what is compared: the same episodes, played under others."""
-
-CONDITIONS = ("capture", *CROSSABLE)
-"""What must be equal for two evaluations to be paired, unless it is what is compared."""
+CROSSABLE = tuple(name for name in CONDITIONS if name != "capture")
+"""Conditions that may be what is compared: the same episodes, played under others. Each capture
+rule has metrics of its own."""
 
 COMMANDS = "commands"
 """Compared beside the metrics: how far apart two evaluations command the palm."""
@@ -56,7 +54,11 @@ def unequal_conditions(a: Results, b: Results, across: Collection[str] = ()) -> 
     """Return the conditions in which two evaluations differ, without those that are compared,
     ``across``.
     """
-    return [name for name in CONDITIONS if name not in across and a.rules[name] != b.rules[name]]
+    return [
+        name
+        for name in CONDITIONS
+        if name not in across and a.conditions[name] != b.conditions[name]
+    ]
 
 
 def compare(
@@ -92,7 +94,7 @@ def compare(
             if name in CROSSABLE
             else "evaluate both under one"
         )
-        refuse_to_mix(name, [(result.folder, result.rules[name]) for result in (a, b)], remedy)
+        refuse_to_mix(name, [(result.folder, result.conditions[name]) for result in (a, b)], remedy)
     differences = (
         command_distances_cm(a, b)
         if metric == COMMANDS

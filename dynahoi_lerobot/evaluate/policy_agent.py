@@ -16,14 +16,11 @@ from dynahoi_lerobot.core.conventions import CONTROL_DT
 from dynahoi_lerobot.core.features import (
     ENVIRONMENT_STATE,
     EYE,
-    IMAGE_PREFIX,
     TRUTH,
     as_gym,
-    environment_state_of,
 )
 from dynahoi_lerobot.evaluate import checkpoint
 from dynahoi_lerobot.evaluate.checkpoint import PolicyError
-from dynahoi_lerobot.renderers.views import OPTIONAL_VIEWS
 
 
 def _in_a_sentence[**P, R](method: Callable[P, R]) -> Callable[P, R]:
@@ -66,19 +63,17 @@ class PolicyAgent(ChunkAgent):
         self._policy, self._before, self._after = checkpoint.load_policy(
             folder, device, settings, trust=trust
         )
-        self.weights, self.trained_for = (
-            checkpoint.folder_weights(folder),
-            checkpoint.trained_for(folder),
-        )
+        self.weights = checkpoint.folder_weights(folder)
+        self.trained_for = checkpoint.trained_for(folder)
         self._chunk: Any = None
         self._frame = 0
         inputs = self._policy.config.input_features
-        state = inputs.get(ENVIRONMENT_STATE)
-        self.environment_state = environment_state_of(state.shape) if state else ""
+        told = self.trained_for.get("environment_state") or None
+        self.environment_state = told if ENVIRONMENT_STATE in inputs else ""
         self.privileged = self.environment_state == TRUTH
         self.sees_images = any(key.startswith("observation.image") for key in inputs)
         self.package = type(self._policy).__module__.partition(".")[0]
-        self.views = tuple(view for view in OPTIONAL_VIEWS if IMAGE_PREFIX + view in inputs)
+        self.views = self.trained_for["views"]
 
     def reset(self, count: int) -> None:
         """Forget queued actions and history, and seed torch's generator, from which policies draw
@@ -181,11 +176,10 @@ class PolicyAgent(ChunkAgent):
             TRUTH: observation.environment_state is not None,
             EYE: observation.sighting is not None,
         }
-        if not shown[self.environment_state]:
+        if not shown.get(self.environment_state or "", True):
             raise PolicyError(
                 f"{self.name} reads {ENVIRONMENT_STATE}, which `dynahoi evaluate "
-                f"--environment-state "
-                f"{self.environment_state}` and environments with "
+                f"--environment-state {self.environment_state}` and environments with "
                 f"environment_state={self.environment_state!r} show"
             )
         batch: dict[str, Any] = preprocess_observation(as_gym(observation))

@@ -20,6 +20,7 @@ from dynahoi_lerobot.core.conventions import HAND_DOF, SEED_LIMIT
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.escaping import printable
 from dynahoi_lerobot.core.files import write_atomically
+from dynahoi_lerobot.core.nested import field_names, flat
 from dynahoi_lerobot.core.reading import (
     LeftOut,
     ReadError,
@@ -37,9 +38,9 @@ from dynahoi_lerobot.evaluate.summary import Estimate, Summary, summarise_by, su
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.rollout.inference import SYNC
 from dynahoi_lerobot.rollout.loop import ActionLog
-from dynahoi_lerobot.sampling.benchmark import BENCHMARK
-from dynahoi_lerobot.sampling.fingerprint import surroundings
-from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK_ID
+from dynahoi_lerobot.sampling.fingerprint import recipe_code, surroundings
+from dynahoi_lerobot.sampling.recipe import COMPARED, Recipe
 from dynahoi_lerobot.sampling.salt import stream_label, without_salt
 
 METRICS_FILE = "metrics.json"
@@ -53,23 +54,22 @@ is added without changing it, and is ignored by readers that do not know it."""
 HEAD_TYPES: dict[str, Any] = (
     {"n": int, "n_success": int, "pc_success_ci95": list[float]}
     | {"metrics": (figures := dict[str, dict[str, Any]]), "per_kind": dict[str, figures]}
-    | dict.fromkeys(("split", "policy", "capture", "fingerprint", "benchmark", "command"), str)
-    | {"extra": dict[str, Any]}
+    | dict.fromkeys(("split", "policy", "capture", "code", "benchmark", "command"), str)
+    | {"recipe": Recipe, "extra": dict[str, Any]}
 )
 EXTRA_TYPES = {
     "inference": str | None,
     "settings": list[str] | None,
     "privileged": bool | None,
     "weights": dict[str, str] | None,
-    "recipe": dict[str, Any],
     "surroundings": dict[str, Any],
     "vlm": dict[str, Any],
 }
 """Keys of ``metrics.json`` with the types of their values; what is below ``extra`` may be
 missing."""
 
-UNIFORM = ("capture", "benchmark", "protocol", "control_class")
-"""Columns with one value in all rows; the first two have that of ``metrics.json``."""
+CONDITIONS = (*COMPARED, "inference")
+"""What must be equal for two evaluations to be compared."""
 
 LARGEST = SEED_LIMIT
 """No number in a row or a command is larger."""
@@ -96,25 +96,23 @@ class RunInfo:
 
     Attributes:
         policy: the policy's name or path.
-        split: the split that was played.
-        capture: the capture rule, ``attach``, ``attach_lenient`` or ``contact``.
+        recipe: what was played, as ``Recipe.stored`` returns it.
         command: the exact command line.
-        fingerprint: identifies the code and recipe.
+        code: fingerprint of the code that played it.
         extra: further JSON values: ``privileged`` if who moved the hand saw the simulator's state,
             ``inference`` and ``settings`` where inference took time or the policy's config was
-            changed, ``recipe``, which names the control mode, ``weights``, sha256 by the name of
-            the file, those of an adapter's base model under ``base/NAME``, and whatever a figure
-            needs, such as ``n_obs_frames`` or ``data_fraction``.
-        benchmark: version of the benchmark.
+            changed, ``weights``, sha256 by the name of the file, those of an adapter's base model
+            under ``base/NAME``, and whatever a figure needs, such as ``n_obs_steps`` or
+            ``data_fraction``.
+        benchmark: identifies the benchmark; scores of another one do not compare.
     """
 
     policy: str
-    split: str
-    capture: str
+    recipe: dict[str, Any]
     command: str
-    fingerprint: str
+    code: str
     extra: dict[str, Any] = field(default_factory=dict)
-    benchmark: str = BENCHMARK.version
+    benchmark: str = BENCHMARK_ID
 
     @classmethod
     def begun(
@@ -123,20 +121,26 @@ class RunInfo:
         """Return what this command line begins to play, of a recipe; ``told`` and ``weights`` are
         in ``extra``.
         """
-        extra = {"recipe": recipe.stored(), **told, "surroundings": surroundings()}
+        extra = {**told, "surroundings": surroundings()}
         extra |= {} if weights is None else {WEIGHTS: dict(weights)}
-        split = stream_label(recipe.split, recipe.salt)
-        return cls(policy, split, recipe.capture, command_line(), recipe.fingerprint(), extra)
+        return cls(policy, recipe.stored(), command_line(), recipe_code(recipe), extra)
+
+    @property
+    def split(self) -> str:
+        """The split that was played, with digits of the salt's hash."""
+        return stream_label(self.recipe["split"], self.recipe["salt"])
+
+    @property
+    def capture(self) -> str:
+        """The capture rule."""
+        return self.recipe["rules"]["capture"]
 
     def task(self) -> dict[str, Any]:
         """Return what must be equal for an evaluation to be resumed."""
         told: dict[str, Any] = {"schema": SCHEMA}
-        told |= {
-            name: self.extra.get(name) or ""
-            for name in ("recipe", "inference", "settings", WEIGHTS)
-        }
+        told |= {name: self.extra.get(name) or "" for name in ("inference", "settings", WEIGHTS)}
         return {
-            name: getattr(self, name) for name in ("policy", "split", "fingerprint", "benchmark")
+            name: getattr(self, name) for name in ("policy", "recipe", "code", "benchmark")
         } | told
 
 
@@ -197,23 +201,14 @@ class Results:
         return {row["seed"] for row in self.rows}
 
     @cached_property
-    def rules(self) -> dict[str, str]:
-        """What must be equal for two evaluations to be compared.
+    def conditions(self) -> dict[str, str]:
+        """The values of ``CONDITIONS``, as tables print them.
 
-        ``inference`` is ``sync`` if the world waited for the policy, else such as ``async 150 ms``;
-        ``render_noise`` how many of 255 levels the images were changed by at most, ``0`` if they
-        were not; ``path_speed`` how many times as fast targets were on their paths, ``1`` unless
-        they are twins.
+        ``inference`` is ``sync`` if the world waited for the policy, else such as ``async 150 ms``.
         """
-        told = self.info.extra.get("recipe", {})
-        return {
-            "protocol": self.rows[0]["protocol"],
-            "capture": self.info.capture,
-            "control_class": self.rows[0]["control_class"],
-            "inference": self.info.extra.get("inference") or SYNC,
-            "render_noise": _number(told.get("render_noise", 0)),
-            "path_speed": _number(told.get("path_speed", 1)),
-        }
+        played = flat(self.info.recipe)
+        told = {name: _number(played[name]) for name in COMPARED}
+        return told | {"inference": self.info.extra.get("inference") or SYNC}
 
     @property
     def privileged(self) -> bool:
@@ -236,15 +231,9 @@ class Results:
         return self._by[stratum]
 
     def recipe(self) -> Recipe:
-        """Return what was played; ReadError if the folder does not say it, or what it says is
-        damaged.
-        """
-        if "recipe" not in self.info.extra:
-            raise ReadError(
-                f"{self.folder} does not say what was played; evaluate again with this version"
-            )
+        """Return what was played; ReadError if something that it names does not exist here."""
         with reading(self.folder / METRICS_FILE):
-            return decoded(Recipe, self.info.extra["recipe"])
+            return decoded(Recipe, self.info.recipe)
 
     def log(self, index: int) -> ActionLog:
         """Return what row ``index`` was played with."""
@@ -269,7 +258,8 @@ class Results:
             "capture": info.capture,
             "metrics": _plain(self.summary, names),
             "per_kind": {kind: _plain(summary, names) for kind, summary in self.by("kind").items()},
-            "fingerprint": info.fingerprint,
+            "recipe": info.recipe,
+            "code": info.code,
             "benchmark": info.benchmark,
             "command": info.command,
             "extra": info.extra,
@@ -339,13 +329,15 @@ def read_results(folder: Path) -> Results:
             f"{folder / ACTIONS_FILE} cannot be read: its seeds are not those of {EPISODES_FILE}"
         )
     _check_logs(folder / ACTIONS_FILE, rows, actions)
-    for name in UNIFORM:
-        found = sorted({head.get(name, rows[0][name]), *(row[name] for row in rows)})
+    info = RunInfo(**{entry.name: head[entry.name] for entry in fields(RunInfo)})
+    played = {"benchmark": info.benchmark}
+    played |= {name: value for name, value in flat(info.recipe).items() if name in COMPARED}
+    for name in played.keys() & rows[0].keys():
+        found = sorted({played[name], *(row[name] for row in rows)})
         if len(found) > 1:
             raise ReadError(
                 f"{folder} holds episodes of {name} {found[0]!r} and {found[1]!r}; {REMEDY}"
             )
-    info = RunInfo(**{entry.name: head[entry.name] for entry in fields(RunInfo)})
     return Results(folder, info, tuple(rows), tuple(actions), head)
 
 
@@ -379,6 +371,7 @@ def _read_head(path: Path) -> dict[str, Any]:
         head = {"extra": {}} | read_object(path)
         _check_schema(path, head)
         require(head, HEAD_TYPES)
+        require(flat(head["recipe"]), dict.fromkeys(field_names(Recipe), object))
         for figures in (head["metrics"], *head["per_kind"].values()):
             for figure in figures.values():
                 require(figure, get_type_hints(Estimate))

@@ -94,7 +94,7 @@ STRATA = {
 
 # -- columns ---------------------------------------------------------------------------------------
 
-TEXTS = ("split", "agent", "capture", "protocol", "control_class", "fingerprint", "benchmark")
+TEXTS = ("split", "agent", "capture", "protocol", "control_class", "code", "benchmark")
 COUNTS = ("seed", "length_frames", "window_frames", "intercept_frame", "attempts")
 """Columns copied from ``EpisodeMeta``."""
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 from dynahoi_lerobot.evaluate.compare import compare, verdict
-from dynahoi_lerobot.evaluate.results import Results
+from dynahoi_lerobot.evaluate.results import CONDITIONS, Results
 from dynahoi_lerobot.evaluate.rows import STRATA
 from dynahoi_lerobot.evaluate.summary import Estimate
 from dynahoi_lerobot.metrics import METRICS
@@ -25,17 +25,7 @@ MAIN_COLUMNS = (
 """The paper's seven metrics, and beside its S_gra, which a fist passes, the grasp that a fist
 fails."""
 
-CONDITIONS = (
-    "split",
-    "protocol",
-    "capture",
-    "control",
-    "inference",
-    "noise",
-    "speed",
-    "benchmark",
-    "n",
-)
+TITLES = ("split", *(name.replace("_", " ") for name in CONDITIONS), "benchmark", "n")
 """Titles of what is said about an evaluation beside its numbers: under others they do not
 compare."""
 
@@ -121,13 +111,13 @@ def metrics_table(
     """
     found = [conditions(result) for result in results]
     differing = [i for i, values in enumerate(zip(*found, strict=True)) if len(set(values)) > 1]
-    shared = [f"{title} {found[0][i]}" for i, title in enumerate(CONDITIONS) if i not in differing]
+    shared = [f"{title} {found[0][i]}" for i, title in enumerate(TITLES) if i not in differing]
     best = _best(results, columns)
     rows = tuple(
         (
             Cell(label),
             *(
-                Cell(found[place][i], key=len(result.rows) if CONDITIONS[i] == "n" else None)
+                Cell(found[place][i], key=len(result.rows) if TITLES[i] == "n" else None)
                 for i in differing
             ),
             *(
@@ -139,7 +129,7 @@ def metrics_table(
     )
     return Table(
         ", ".join(shared),
-        ("policy", *(CONDITIONS[i] for i in differing), *map(heading, columns)),
+        ("policy", *(TITLES[i] for i in differing), *map(heading, columns)),
         rows,
     )
 
@@ -195,8 +185,13 @@ def columns_for(results: Sequence[Results]) -> tuple[str, ...]:
 
 
 def conditions(result: Results) -> list[str]:
-    """Return what ``CONDITIONS`` says about an evaluation."""
-    return [result.info.split, *result.rules.values(), result.info.benchmark, str(len(result.rows))]
+    """Return what ``TITLES`` name about an evaluation."""
+    return [
+        result.info.split,
+        *result.conditions.values(),
+        result.info.benchmark,
+        str(len(result.rows)),
+    ]
 
 
 def heading(name: str) -> str:

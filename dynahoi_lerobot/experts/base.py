@@ -8,8 +8,8 @@ import numpy as np
 
 from dynahoi_lerobot.core.agent import Expert, WorldState
 from dynahoi_lerobot.core.conventions import FINGER_DOF, HAND_DOF
+from dynahoi_lerobot.core.protocols import ControlClass
 from dynahoi_lerobot.core.registry import Registry
-from dynahoi_lerobot.core.rules import ControlClass
 from dynahoi_lerobot.core.spec import EpisodeSpec
 
 EXPERTS: Registry[type[Expert]] = Registry("expert", "dynahoi_lerobot.experts")

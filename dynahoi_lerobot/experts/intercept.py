@@ -9,7 +9,7 @@ import numpy as np
 from dynahoi_lerobot.core.agent import Meeting
 from dynahoi_lerobot.core.conventions import CONTROL_DT, PALM_DOF
 from dynahoi_lerobot.core.numerics import norm
-from dynahoi_lerobot.core.rules import ControlClass
+from dynahoi_lerobot.core.protocols import ControlClass
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts.base import EXPERTS, Teacher, WorldView
 from dynahoi_lerobot.hands import HANDS

@@ -5,7 +5,7 @@ With ``--actor`` a policy moves the hand, and the expert labels its states.
 
 import json
 import sys
-from dataclasses import MISSING, dataclass, replace
+from dataclasses import MISSING, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,16 +14,17 @@ from tqdm import tqdm
 
 from dynahoi_lerobot.core.arguments import given_of, number, option, refuse_given, whole
 from dynahoi_lerobot.core.files import check_output
+from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.core.reading import reading
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import MANIFEST_PATH, FileLimits, check_root
 from dynahoi_lerobot.dataset.video import Encoding
-from dynahoi_lerobot.evaluate.arguments import TRUST
+from dynahoi_lerobot.evaluate.arguments import TRUST, playing_rules
 from dynahoi_lerobot.generate.actor import actor_name, make_actor, open_policy, runtime
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationPlan, Record, shard_size
 from dynahoi_lerobot.rollout import loop
-from dynahoi_lerobot.sampling.recipe import PLAYING, RECORDING, Recipe, load_recipe
+from dynahoi_lerobot.rollout.recording import Recording, read_recording
 
 EXECUTORS = ("local", "slurm", "ray")
 FOR_EXECUTORS = ("tasks", "dry_run", "partition", "time", "cpus_per_task", "gpus_per_task")
@@ -40,13 +41,13 @@ class Options:
     recipe: Path | None = option(None, "YAML file; the options below override it")
     episodes: int = option(MISSING, "number of episodes")
     seed: int = option(0, "seed of the first episode; episode i has seed + i")
-    rules: dict[str, Any] = given_of(Recipe, {*PLAYING, *RECORDING} - {"actor"})
+    given: dict[str, Any] = given_of(Recording)
     subtasks: bool = option(False, "store the current subtask in LeRobot's language column")
     workers: int = option(1, "number of processes", whole(1, 4096))
     shard_episodes: int | None = option(
         None, "episodes per shard; by default an eighth of all, at most 256"
     )
-    encoding: dict[str, Any] = given_of(Encoding, ("codec", "crf", "preset", "gop"))
+    encoding: dict[str, Any] = given_of(Encoding)
     video_seconds: float = option(
         FileLimits.video_s,
         "maximum length of a video file [s], and at most 200 MB; LeRobot can only stream one "
@@ -67,14 +68,16 @@ class Options:
     trust: bool = option(False, TRUST)
 
 
-def run(options: Options, *, record: Record | None = None, recipe: Recipe | None = None) -> int:
+def run(
+    options: Options, *, record: Record | None = None, recording: Recording | None = None
+) -> int:
     """Generate a dataset and print a JSON summary.
 
     Args:
         options: what the command line says.
         record: plays the expert without ``--actor``; ``dynahoi_lerobot.rollout.loop.record`` by
             default.
-        recipe: what the options override; that of ``--recipe``, or the default recipe, by default.
+        recording: what the options override; the default recording by default.
 
     Returns:
         The exit code, 0.
@@ -88,10 +91,13 @@ def run(options: Options, *, record: Record | None = None, recipe: Recipe | None
             FOR_EXECUTORS,
             f"needs --executor {', '.join(EXECUTORS[:-1])} or {EXECUTORS[-1]}",
         )
-    recipe, runs_on = recipe or load_recipe(options.recipe), ""
+    told = read_recording(options.recipe) if options.recipe else {}
+    runs_on = ""
     if options.actor is not None:
-        recipe, record, runs_on = _on_policy(options.actor, options, recipe)
-    plan = _plan(options, recipe, runs_on)
+        actor, runs_on, record = _on_policy(options.actor, options, told)
+        told |= actor
+    recording = changed(recording or Recording(), told | options.given)
+    plan = _plan(options, recording, runs_on)
     if options.executor is not None:
         from dynahoi_lerobot.generate import executors
 
@@ -124,24 +130,22 @@ def run(options: Options, *, record: Record | None = None, recipe: Recipe | None
     return 0
 
 
-def _on_policy(actor: str, options: Options, recipe: Recipe) -> tuple[Recipe, Record, str]:
-    """Return the recipe for the policy of ``--actor``, its recorder, and its ``runtime``."""
+def _on_policy(
+    actor: str, options: Options, told: dict[str, Any]
+) -> tuple[dict[str, Any], str, Record]:
+    """Return what the policy of ``--actor`` changes of the recording, its ``runtime``, and its
+    recorder.
+    """
     policy, name = open_policy(actor, trust=options.trust), actor_name(actor)
-    if recipe.actor not in ("", name):
-        raise ValueError(f"the recipe names the actor {recipe.actor}; --actor {actor} is {name}")
-    views = tuple(dict.fromkeys((*recipe.views, *policy.views)))
-    trained = {
-        key: policy.trained_for[key]
-        for key in ("control_mode", "image_size")
-        if key in policy.trained_for
-    }
-    recipe = replace(recipe, actor=name, views=views, **trained)
+    if told.get("actor", name) != name:
+        raise ValueError(f"the recipe names the actor {told['actor']}; --actor {actor} is {name}")
     runs_on = runtime(policy)
     make = partial(make_actor, path=actor, name=name, on=runs_on, trust=options.trust)
+    record = partial(loop.record_on_policy, make_agent=make, threads=_threads(options))
     return (
-        recipe,
-        partial(loop.record_on_policy, make_agent=make, threads=_threads(options)),
+        playing_rules({"views": told.get("views", ())}, policy) | {"actor": name},
         runs_on,
+        record,
     )
 
 
@@ -152,13 +156,13 @@ def _threads(options: Options) -> int:
     return 0 if options.workers == 1 else 1
 
 
-def _plan(options: Options, recipe: Recipe, runs_on: str) -> GenerationPlan:
-    if recipe.actor and options.actor is None:
+def _plan(options: Options, recording: Recording, runs_on: str) -> GenerationPlan:
+    if recording.actor and options.actor is None:
         raise ValueError(
-            f"the recipe names the actor {recipe.actor}; give its checkpoint with --actor"
+            f"the recipe names the actor {recording.actor}; give its checkpoint with --actor"
         )
     return GenerationPlan(
-        recipe.changed(**options.rules),
+        recording,
         options.episodes,
         options.seed,
         _encoding(options),

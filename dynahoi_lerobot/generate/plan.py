@@ -25,15 +25,15 @@ from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.dataset.quality_control import trajectory_problems
 from dynahoi_lerobot.dataset.video import Encoding
 from dynahoi_lerobot.dataset.writer import DatasetWriter
+from dynahoi_lerobot.rollout.recording import Recording
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
-from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.splits import MAX_DRAWS, REDRAW_STRIDE
 
 logger = logging.getLogger(__name__)
 
 Record = Callable[[Any, Sequence[int]], Iterator[Episode]]
-"""Plays the expert in a recipe: yields the episodes among the seeds that are to be stored, in their
-order, at most one per seed, which is a deterministic function of (recipe, seed)."""
+"""Plays a `Recording`: yields the episodes among the seeds that are to be stored, in their order,
+at most one per seed, which is a deterministic function of (recording, seed)."""
 Progress = Callable[[int], object]
 """Called now and then with the number of episodes that are done."""
 
@@ -60,7 +60,7 @@ class GenerationPlan:
     starts where another ends shares no seed with it, and the seeds do not depend on the shards.
 
     Attributes:
-        recipe: what to play.
+        recording: what to play.
         episodes: how many to store.
         seed: the first episode's seed.
         encoding: how to store them.
@@ -72,7 +72,7 @@ class GenerationPlan:
         subtasks: whether to store subtasks as LeRobot's column for language.
     """
 
-    recipe: Recipe
+    recording: Recording
     episodes: int
     seed: int = 0
     encoding: Encoding = field(default_factory=Encoding)
@@ -98,7 +98,7 @@ class GenerationPlan:
                 f"the seed is {self.seed}; it must be 0 to {REDRAW_STRIDE - self.episodes} for "
                 f"{self.episodes} episodes"
             )
-        self.encoding.check_size(self.recipe.image_size)
+        self.encoding.check_size(self.recording.recipe.rules.image_size)
 
     @property
     def shards(self) -> int:
@@ -113,7 +113,7 @@ class GenerationPlan:
 
     def identity(self) -> dict[str, Any]:
         """Return everything that decides the dataset's bytes, as JSON values."""
-        return json.loads(json.dumps(asdict(self) | {"recipe": self.recipe.stored()}))
+        return json.loads(json.dumps(asdict(self) | {"recording": self.recording.stored()}))
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ class ShardMaker:
         target, plan = self.path(shard), self.plan
         if target.is_dir():
             return
-        columns = (*plan.recipe.features(), *episode_features())
+        columns = (*plan.recording.recipe.rules.features, *episode_features())
         options = (columns, plan.encoding, plan.limits)
         with (
             new_folder(target) as folder,
@@ -177,7 +177,7 @@ class ShardMaker:
         for draw in range(MAX_DRAWS):
             seeds = [slot + draw * REDRAW_STRIDE for slot in slots]
             missed, rejected = set(seeds), set[int]()
-            for episode in self.record(self.plan.recipe, seeds):
+            for episode in self.record(self.plan.recording, seeds):
                 seed = episode.meta.seed
                 if seed not in missed:
                     raise CommandError(

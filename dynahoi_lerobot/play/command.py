@@ -10,15 +10,23 @@ from typing import Any
 from dynahoi_lerobot.core.arguments import given_of, option, whole
 from dynahoi_lerobot.core.conventions import SEED_LIMIT
 from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.features import episode_features
 from dynahoi_lerobot.core.files import new_folder
-from dynahoi_lerobot.dataset.columns import dataset_features
+from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.dataset.writer import DatasetWriter
-from dynahoi_lerobot.evaluate.arguments import EXPERT_ALIAS, TRUST, make_actor, playing_rules
+from dynahoi_lerobot.evaluate.arguments import (
+    AS_TRAINED,
+    EXPERT_ALIAS,
+    TRUST,
+    make_actor,
+    playing_rules,
+)
 from dynahoi_lerobot.evaluate.results import RunInfo, kept_results
 from dynahoi_lerobot.evaluate.table import results_table
 from dynahoi_lerobot.play.game import Game
 from dynahoi_lerobot.play.live_world import LiveWorld
 from dynahoi_lerobot.play.server import LOOPBACK, PlayServer
+from dynahoi_lerobot.rules import Rules
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.splits import kind_seed, kind_seeds
 
@@ -42,9 +50,7 @@ class Options:
         None, "also show how this checkpoint or baseline plays the same episodes"
     )
     trust: bool = option(False, TRUST)
-    rules: dict[str, Any] = given_of(
-        Recipe, ("control_class", "capture", "hand", "protocol", "image_size", "path_speed")
-    )
+    given: dict[str, Any] = given_of(Recipe, AS_TRAINED)
     host: str = option(
         "127.0.0.1", "address to listen on; any other than loopback requires a token"
     )
@@ -58,14 +64,15 @@ def run(options: Options) -> int:
         ValueError: for an unknown name, a folder that holds something else, or an address that is
             in use.
     """
-    capture = options.rules.get("capture", Recipe.capture)
+    capture = options.given.get("capture", Rules.capture)
     actors = [make_actor(EXPERT_ALIAS, capture)]
     if options.policy:
         actors.append(make_actor(options.policy, capture, trust=options.trust))
-    recipe = Recipe(split=options.split, image_size=IMAGE_PX).changed(
-        **playing_rules(options.rules, actors[-1])
+    recipe = changed(
+        Recipe(rules=Rules(image_size=IMAGE_PX), split=options.split),
+        playing_rules(options.given, actors[-1]),
     )
-    if not recipe.image_size:
+    if not recipe.rules.image_size:
         raise ValueError("--image-size is 0, but a player needs to see; leave it out")
     seeds = {
         number: kind_seed(recipe, options.motion, number)
@@ -82,9 +89,10 @@ def run(options: Options) -> int:
 
         def keep(episode: Episode) -> None:
             nonlocal results, writer
+            columns = (*recipe.rules.features, *episode_features())
             if options.record and writer is None:
                 folder = stack.enter_context(new_folder(options.record))
-                writer = stack.enter_context(DatasetWriter(folder, dataset_features(episode)))
+                writer = stack.enter_context(DatasetWriter(folder, columns))
             if writer is not None:
                 writer.add(episode)
             results = results.plus([episode])
@@ -107,7 +115,7 @@ def run(options: Options) -> int:
         with suppress(KeyboardInterrupt):
             asyncio.run(PlayServer(game, options.host, options.port, token).run(_announce))
         if writer is not None:
-            writer.finish({"recipe": recipe.stored()})
+            writer.finish({"recording": {"recipe": recipe.stored()}})
     if results.rows:
         print(results_table([results]))
     return 0

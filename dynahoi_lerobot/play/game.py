@@ -92,12 +92,10 @@ class Game:
         """
         spec, rows = world.spec, [("you", episode)]
         for actor in self.others:
-            recipe = replace(
-                world.recipe, views=tuple(sorted({*world.recipe.views, *actor.views} - {EGO_VIEW}))
-            )
-            rows.append(
-                (actor.name, next(evaluate(WorldBatch(recipe, 1), actor, [spec], images=True)))
-            )
+            rules = world.recipe.rules
+            shown = replace(rules, views=tuple(dict.fromkeys((*rules.views, *actor.views))))
+            batch = WorldBatch(shown, 1)
+            rows.append((actor.name, next(evaluate(batch, actor, [spec], images=True))))
         return {
             "practice": practising,
             "task": spec.task,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.core.conventions import CONTROL_HZ, HAND_DOF
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.rollout.loop import Session
@@ -55,7 +56,7 @@ class LiveWorld:
         """Allocate the world; no episode begins yet.
 
         Args:
-            recipe: rules of the episodes.
+            recipe: the episodes.
             kind: the kind of motion that is played; None for all of the recipe.
             realtime: whether the clock moves the world; else each command moves it by one frame.
             record_images: whether the recording of an episode holds its images.
@@ -64,8 +65,8 @@ class LiveWorld:
         self.recipe, self.kind, self.missed = recipe, kind, 0
         self.finished: Episode | None = None
         self._realtime, self._clock = realtime, clock
-        self._session = Session(WorldBatch(recipe, 1), record_images=record_images)
-        self._expert = EXPERTS[recipe.expert]()
+        self._session = Session(WorldBatch(recipe.rules, 1), record_images=record_images)
+        self._expert = EXPERTS[recipe.rules.capture_rule.expert]()
         self._started_s: float | None = None
         self._command = np.zeros(HAND_DOF)
         self._fresh = False
@@ -127,7 +128,8 @@ class LiveWorld:
         Raises:
             ValueError: for a wrong shape or a value that is not finite.
         """
-        given = self.batch.commands.read(np.asarray(command, np.float64)[None], self._seen.state)[0]
+        commands = np.asarray(command, np.float64)[None]
+        given = self.batch.commands.read(commands, self._seen.state, JOINTS)[0]
         if self._started_s is None:
             now_s = self._clock()
             self._started_s = now_s - min(now_s - self._observed_s, 1 / CONTROL_HZ) / 2
@@ -138,7 +140,7 @@ class LiveWorld:
             self._tick()
 
     def expert_goal(self) -> np.ndarray:
-        """Return (18,) what the recipe's privileged expert would command now."""
+        """Return (18,) what the capture rule's privileged expert would command now."""
         self.catch_up()
         return self._expert.act(self._session.batch.world_state(self._seen))[0]
 
@@ -159,7 +161,7 @@ class LiveWorld:
         batch = self._session.batch
         self.missed += bool(batch.accepting[0]) and not self._fresh
         self._fresh = False
-        terminated, truncated = self._session.step(self._command[None])
+        terminated, truncated = self._session.step(self._command[None], control_mode=JOINTS)
         self._session.observe(images=self._session.record_images)
         if terminated[0] or truncated[0]:
             self.finished = self._session.finish(0, self._player)

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.core.conventions import EGO_VIEW, PALM_DOF
 from dynahoi_lerobot.core.numerics import quat_to_matrix
 from dynahoi_lerobot.world.sensors import camera_pose, intrinsics
@@ -63,12 +62,12 @@ class Steering:
         batch, spec = world.batch, world.spec
         model, hand = batch.scene.model, batch.scene.hand
         axes = quat_to_matrix(camera_pose(model, EGO_VIEW)[3:])  # columns: right, up, backwards
-        focal, _, centre, _ = intrinsics(model, EGO_VIEW, world.recipe.image_size)
+        focal, _, centre, _ = intrinsics(model, EGO_VIEW, world.recipe.rules.image_size)
         way = axes @ np.array(
             [self.x * POINTED_M * centre / focal, self.y * POINTED_M * centre / focal, 0.0]
         )
         way += axes @ np.array([0.0, 0.0, -self.depth * DEPTH_M])
-        touching = CAPTURES[world.recipe.capture].uses_contact_sensors
+        touching = world.recipe.rules.capture_rule.uses_contact_sensors
         closed = hand.closed_joints() if touching else spec.reference_joints
         return np.concatenate(
             [

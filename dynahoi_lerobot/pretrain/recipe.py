@@ -5,9 +5,11 @@ from pathlib import Path
 from typing import Any
 
 from dynahoi_lerobot.core.conventions import EGO_VIEW
+from dynahoi_lerobot.core.nested import nested
 from dynahoi_lerobot.core.reading import decoded, read_yaml, reading
 from dynahoi_lerobot.core.registry import known
 from dynahoi_lerobot.renderers.views import CAMERAS
+from dynahoi_lerobot.rules import Rules
 from dynahoi_lerobot.sampling.recipe import Recipe
 
 
@@ -40,7 +42,7 @@ class PretrainRecipe:
     eye: dict[str, Any] = field(default_factory=dict)
     device: str = "cpu"
     workers: int = 0
-    episodes: Recipe = field(default_factory=lambda: Recipe(image_size=64))
+    episodes: Recipe = field(default_factory=lambda: Recipe(rules=Rules(image_size=64)))
     hands: tuple[str, ...] = ()
     n_episodes: int = 1024
     randomized_share: float = 0.0
@@ -85,4 +87,7 @@ def read_recipe(path: Path, **changes: Any) -> PretrainRecipe:
     for name in changes:
         known("field of the recipe", name, names)
     with reading(path):
-        return decoded(PretrainRecipe, read_yaml(path) | changes)
+        values = read_yaml(path) | changes
+        if isinstance(values.get("episodes"), dict):
+            values["episodes"] = nested(Recipe, values["episodes"])
+        return decoded(PretrainRecipe, values)

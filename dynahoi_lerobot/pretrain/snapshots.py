@@ -10,7 +10,8 @@ from itertools import chain
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT, EGO_VIEW, HAND_DOF, PALM_DOF
-from dynahoi_lerobot.core.rules import CONTROL_CLASSES
+from dynahoi_lerobot.core.nested import changed
+from dynahoi_lerobot.core.protocols import CONTROL_CLASSES
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.pretrain.recipe import PretrainRecipe
 from dynahoi_lerobot.sampling.randomization import RANDOMIZATIONS
@@ -78,8 +79,8 @@ def calibration(recipe: PretrainRecipe) -> tuple[np.ndarray, np.ndarray]:
     """Return the camera's pose (7,), as ``stats/ego_camera``, and intrinsics (4,) [px], as
     ``stats/ego_intrinsics``.
     """
-    model, name = compile_scene(recipe.episodes.hand).model, recipe.camera
-    return camera_pose(model, name), intrinsics(model, name, recipe.episodes.image_size)
+    model, name = compile_scene(recipe.episodes.rules.hand_name).model, recipe.camera
+    return camera_pose(model, name), intrinsics(model, name, recipe.episodes.rules.image_size)
 
 
 class ImageStream:
@@ -106,11 +107,11 @@ class ImageStream:
     def _shown(self) -> list[tuple[WorldBatch, list[EpisodeSpec]]]:
         """For each hand, worlds and the episodes that they show."""
         episodes = self._recipe.episodes
-        recipes = [replace(episodes, hand=hand) for hand in self._recipe.hands] or [episodes]
+        recipes = [changed(episodes, {"hand": hand}) for hand in self._recipe.hands] or [episodes]
         chosen = range(self._worker, self._recipe.n_episodes, self._n_workers)
         size = self._recipe.batch_size
         return [
-            (WorldBatch(one, size, threads=1), shown_specs(self._recipe, one, chosen))
+            (WorldBatch(one.rules, size, threads=1), shown_specs(self._recipe, one, chosen))
             for one in recipes
         ]
 

@@ -122,8 +122,8 @@ def unique_labels(results: Sequence[Results]) -> list[str]:
 def _label(result: Results) -> str:
     rules = [result.info.extra.get("inference")]
     for title, name, usual in (("noise", "render_noise", "0"), ("speed", "path_speed", "1")):
-        if result.rules[name] != usual:
-            rules.append(f"{title} {result.rules[name]}")
+        if result.conditions[name] != usual:
+            rules.append(f"{title} {result.conditions[name]}")
     return ", ".join(filter(None, (result.marked(short_name(result.info.policy)), *rules)))
 
 

@@ -16,7 +16,7 @@ from dynahoi_lerobot.core.escaping import latex, printable
 from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.evaluate import table
 from dynahoi_lerobot.evaluate.compare import SIGNIFICANT
-from dynahoi_lerobot.evaluate.results import WEIGHTS
+from dynahoi_lerobot.evaluate.results import CONDITIONS, WEIGHTS
 from dynahoi_lerobot.evaluate.rows import measured
 from dynahoi_lerobot.evaluate.summary import RESAMPLES, SEED, Estimate
 from dynahoi_lerobot.evaluate.table import Cell, Table
@@ -29,8 +29,8 @@ STATISTICS = (
     f"resamples, seed {SEED}). p: exact McNemar test for rates, paired permutation test for means, "
     f"not corrected for the number of comparisons."
 )
-CONDITIONS = table.CONDITIONS[:-1]
-"""Columns that say under which conditions was played; n is a column of its own."""
+PLAYED = ("split", *CONDITIONS, "benchmark")
+"""Columns that say what was played."""
 NUMBERS = ("value", "low", "high", "n", "p_value")
 COLUMNS: tuple[str, ...] = (
     "table",
@@ -40,7 +40,7 @@ COLUMNS: tuple[str, ...] = (
     "metric",
     "unit",
     *NUMBERS,
-    *CONDITIONS,
+    *PLAYED,
 )
 PREAMBLE = (
     r"The preamble needs \usepackage{booktabs}. Bold: better than every other row under the same "
@@ -111,7 +111,7 @@ def provenance(entries: Sequence[Entry]) -> list[str]:
             "seeds": ranges([row["seed"] for row in rows]),
             "episodes": len(rows),
             "benchmark": info.benchmark,
-            "code": info.fingerprint,
+            "code": info.code,
             **info.extra.get("surroundings", {}),
             **(info.extra.get(WEIGHTS) or {}),
         }
@@ -153,7 +153,7 @@ def _estimates(
 def _line(entry: Entry, name: str, metric: str, found: Estimate, **texts: str) -> dict[str, Any]:
     line = {"table": name, "policy": entry.label, "metric": metric, "unit": found.unit, **texts}
     line |= {column: getattr(found, column, None) for column in NUMBERS}
-    return line | dict(zip(CONDITIONS, table.conditions(entry.results), strict=False))
+    return line | dict(zip(PLAYED, table.conditions(entry.results), strict=False))
 
 
 # -- LaTeX -----------------------------------------------------------------------------------------

@@ -416,7 +416,7 @@ def latency(entries: Sequence[Entry]) -> Figure | None:
     for entry in sorted(
         (entry for entry in entries if entry.label in known), key=lambda entry: known[entry.label]
     ):
-        info, control_class = entry.results.info, entry.results.rules["control_class"]
+        info, control_class = entry.results.info, entry.results.conditions["control_class"]
         rules = (short_name(info.policy), info.split, info.capture, control_class)
         lines.setdefault(", ".join(rules), []).append(entry)
     titles = [

@@ -173,8 +173,12 @@ def glossary() -> Table:
 
 
 def facts(info: RunInfo) -> dict[str, str]:
-    """Return what ``RunInfo.extra`` tells of an evaluation, in words; nothing of what is empty."""
-    return {key: words for key, value in info.extra.items() if (words := in_words(value))}
+    """Return the recipe of an evaluation and what ``RunInfo.extra`` tells of it, in words; nothing
+    of what is empty.
+    """
+    told = {"recipe": info.recipe} | info.extra
+    words = {key: in_words(value) for key, value in told.items()}
+    return {key: text for key, text in words.items() if text}
 
 
 def in_words(value: Any) -> str:

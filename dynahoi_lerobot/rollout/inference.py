@@ -119,6 +119,7 @@ class RealTimeAgent(Agent):
             "sees_images",
             "views",
             "environment_state",
+            "control_mode",
             "privileged",
             "weights",
             "trained_for",

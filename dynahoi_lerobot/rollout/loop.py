@@ -11,10 +11,12 @@ from itertools import islice
 import numpy as np
 
 from dynahoi_lerobot.core.agent import Actor, Agent, Meeting, Observation
+from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.rollout.recorder import Job, WorldRecorder, measure_frame
+from dynahoi_lerobot.rollout.recording import Recording
 from dynahoi_lerobot.rollout.teacher_labels import Demonstrator, LabelledAgent
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
@@ -64,7 +66,10 @@ class Session:
         return self.observation
 
     def step(
-        self, commands: np.ndarray, labels: np.ndarray | None = None
+        self,
+        commands: np.ndarray,
+        labels: np.ndarray | None = None,
+        control_mode: str | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Record what was observed, and move the worlds that play by one frame.
 
@@ -72,6 +77,7 @@ class Session:
             commands: (N, 18), or (N, 4) in control mode ``grasp``, of all worlds; those of worlds
                 that do not play are ignored.
             labels: (N, 18) what a teacher wants from this frame; None without a teacher.
+            control_mode: of the commands; by default that of the rules.
 
         Returns:
             (N,) bool each: worlds in which the capture rule has settled the outcome, and others
@@ -83,7 +89,7 @@ class Session:
         assert self.observation is not None, "observe before the first step"
         columns = measure_frame(self.batch, self.observation)
         images = self.observation.images if self.record_images else {}
-        self.batch.step(commands, self.playing)
+        self.batch.step(commands, self.playing, control_mode)
         given = self.batch.given.copy()
         wanted = (
             given if labels is None else self.batch.commands.labels(labels, self.observation.state)
@@ -143,12 +149,10 @@ def play(
         retry: play jobs that fail again, before any other, as often as the actor may.
 
     Raises:
-        ValueError: if the actor needs images and the recipe has no camera.
+        ValueError: if the actor needs images and the rules have no camera.
     """
-    if actor.sees_images and not batch.recipe.image_size:
-        raise ValueError(
-            f"{actor.name!r} needs images, and the recipe's image_size is 0, no camera"
-        )
+    if actor.sees_images and not batch.rules.image_size:
+        raise ValueError(f"{actor.name!r} needs images, and image_size is 0, no camera")
     later = images and not actor.sees_images and batch.renders_later
     session, fresh, again = Session(batch, render_later=later), iter(jobs), deque[Job]()
     while True:
@@ -158,7 +162,7 @@ def play(
             return
         observation = session.observe(images=(images or actor.sees_images) and not later)
         commands = actor.commands(observation, batch.world_state)
-        terminated, truncated = session.step(commands, actor.labels)
+        terminated, truncated = session.step(commands, actor.labels, actor.control_mode)
         for i in np.flatnonzero(terminated | truncated):
             job = session.job(int(i))
             meeting = actor.first_meeting(job.spec, batch.control)
@@ -171,7 +175,7 @@ def play(
 
 
 def record(
-    recipe: Recipe,
+    recording: Recording,
     seeds: Sequence[int],
     *,
     batch_size: int = DEFAULT_BATCH,
@@ -181,23 +185,21 @@ def record(
     """Yield the expert's successful episodes, in the order of ``seeds``; those it never manages are
     left out.
 
-    With ``recipe.keep_failures`` the last attempt at them is yielded instead. Each frame's
+    With ``keep_failures`` the last attempt at them is yielded instead. Each frame's
     ``action`` is the expert's label, see `teacher_labels`; an episode ends soon after its outcome.
-    Each is a function of (recipe, seed): batch size and threads do not matter.
+    Each is a function of (recording, seed): batch size and threads do not matter.
     """
-    if len(recipe.split_definition.path_speeds) > 1:
-        raise ValueError(f"split {recipe.split!r} is for evaluations; record another one")
-    batch = WorldBatch(recipe, min(batch_size, max(1, len(seeds))), threads)
-    expert = Demonstrator(EXPERTS[recipe.expert](), recipe.perturbed_share)
-    for episode in _in_order(
-        play(batch, expert, _fresh_jobs(recipe, seeds, threads), images=images, retry=True)
-    ):
-        if episode.success or recipe.keep_failures:
+    recipe = recording.recipe
+    batch = WorldBatch(recipe.rules, min(batch_size, max(1, len(seeds))), threads)
+    expert = Demonstrator(EXPERTS[recording.expert_name](), recording.perturbed_share)
+    jobs = _fresh_jobs(recipe, seeds, threads)
+    for episode in _in_order(play(batch, expert, jobs, images=images, retry=True)):
+        if episode.success or recording.keep_failures:
             yield episode
 
 
 def record_on_policy(
-    recipe: Recipe,
+    recording: Recording,
     seeds: Sequence[int],
     *,
     make_agent: Callable[[int], Agent],
@@ -207,21 +209,20 @@ def record_on_policy(
     """Yield the episodes of ``seeds`` in their order, those that the policy fails included.
 
     Args:
-        recipe: with an ``actor``, whose states its expert labels.
+        recording: with an ``actor``, whose states its expert labels.
         seeds: of the episodes; what a policy does may depend, in the last bit, on which are played
             in a group.
-        make_agent: returns the policy that the recipe names, whose random numbers follow from the
-            seed given.
+        make_agent: returns the policy that the recording names, whose random numbers follow from
+            the seed given.
         threads: for physics, 0 for all cores; without influence on the result.
-        images: whether to record the recipe's views.
+        images: whether to record the views of the rules.
     """
     for first in range(0, len(seeds), DEFAULT_BATCH):
         group = seeds[first : first + DEFAULT_BATCH]
-        agent = LabelledAgent(make_agent(group[0]), recipe.teacher(), recipe.actor)
-        jobs = _fresh_jobs(recipe, group, threads)
-        yield from _in_order(
-            play(WorldBatch(recipe, len(group), threads), agent, jobs, images=images)
-        )
+        agent = LabelledAgent(make_agent(group[0]), recording.teacher(), recording.actor)
+        jobs = _fresh_jobs(recording.recipe, group, threads)
+        batch = WorldBatch(recording.recipe.rules, len(group), threads)
+        yield from _in_order(play(batch, agent, jobs, images=images))
 
 
 def _in_order(played: Iterable[tuple[Job, Episode]]) -> Iterator[Episode]:
@@ -289,6 +290,7 @@ class Replayer(Agent):
     """Repeats given commands, those of one log a world, whatever it sees."""
 
     name = "player"
+    control_mode = JOINTS
 
     def __init__(self, logs: Sequence[ActionLog], *, sees_images: bool = False) -> None:
         """Repeat ``logs``; with ``sees_images`` every frame is drawn when it is played, as in the
@@ -308,7 +310,7 @@ class Replayer(Agent):
         return np.stack(commands).astype(np.float64)
 
 
-def played_again(recipe: Recipe, recorded: Episode) -> Episode | None:
+def played_again(recording: Recording, recorded: Episode) -> Episode | None:
     """Return what recording the episode's seed gives now; None if the expert does not manage it.
 
     Nothing but its seed matters, or in an on-policy recording the commands given, in the policy's
@@ -316,14 +318,16 @@ def played_again(recipe: Recipe, recorded: Episode) -> Episode | None:
     that shows something else is found.
     """
     seed = recorded.meta.seed
-    if recipe.actor:
+    if recording.actor:
         replayer = Replayer([ActionLog(seed, recorded.given_action)])
-        made = next(record_on_policy(recipe, [seed], make_agent=lambda _: replayer, images=False))
+        made = next(
+            record_on_policy(recording, [seed], make_agent=lambda _: replayer, images=False)
+        )
     else:
-        made = next(record(recipe, [seed], images=False), None)
+        made = next(record(recording, [seed], images=False), None)
     if made is None:
         return None
-    (shown,) = replay(recipe, [ActionLog(seed, made.given_action, made.meta.attempts)])
+    (shown,) = replay(recording.recipe, [ActionLog(seed, made.given_action, made.meta.attempts)])
     return replace(made, images=shown.images)
 
 
@@ -336,7 +340,7 @@ def replay(
     Args:
         recipe: what was played.
         logs: one an episode; all are played side by side.
-        images: whether to draw the recipe's views, if it has any, frame by frame.
+        images: whether to draw the views of the rules, if there are any, frame by frame.
         as_evaluated: whether an episode ends when an evaluation ends it, before a log that
             continues and after one that stops; by default it ends with its log.
     """
@@ -347,6 +351,6 @@ def replay(
         else Job(i, spec, len(log.actions), log.attempt)
         for i, (spec, log) in enumerate(zip(specs, logs, strict=True))
     ]
-    replayer = Replayer(logs, sees_images=images and recipe.image_size > 0)
-    played = play(WorldBatch(recipe, len(logs)), replayer, jobs)
+    replayer = Replayer(logs, sees_images=images and recipe.rules.image_size > 0)
+    played = play(WorldBatch(recipe.rules, len(logs)), replayer, jobs)
     return [episode for _, episode in sorted(played, key=lambda pair: pair[0].index)]

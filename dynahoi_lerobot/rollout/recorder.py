@@ -18,7 +18,8 @@ from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.motions import Motion
 from dynahoi_lerobot.objects import TargetObject
 from dynahoi_lerobot.objects.primitives import as_table, extent
-from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.rules import Rules
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK_ID
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
 from dynahoi_lerobot.scene.model import SIDE_CAMERA
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -146,7 +147,7 @@ class WorldRecorder:
             "succeeded": next_frames(self._padded(rule.succeeded(track))),
         }
         return Episode(
-            meta=episode_meta(self.job, rule.name, batch.control.name, actor),
+            meta=episode_meta(self.job, batch.rules, actor),
             images={view: np.stack(frames) for view, frames in self.images.items()},
             success=rule.success(track),
             stage=rule.stage(track),
@@ -198,10 +199,8 @@ def _typed(value: Any, feature: Feature) -> Any:
     return array if array.ndim else array.item()
 
 
-def episode_meta(job: Job, capture: str, control_class: str, agent: str) -> EpisodeMeta:
-    """Return what the episode of a job is, played by an agent under a capture rule and a control
-    class.
-    """
+def episode_meta(job: Job, rules: Rules, agent: str) -> EpisodeMeta:
+    """Return what the episode of a job is, played by an agent under ``rules``."""
     spec = job.spec
     return EpisodeMeta(
         seed=spec.seed,
@@ -212,15 +211,16 @@ def episode_meta(job: Job, capture: str, control_class: str, agent: str) -> Epis
         parameters=spec.motion.parameters(),
         task=spec.task,
         agent=agent,
-        capture=capture,
+        capture=rules.capture,
         protocol=spec.protocol,
-        control_class=control_class,
+        control_class=rules.control_class,
+        control_mode=rules.control_mode,
         window_frames=spec.window_frames,
         length_frames=spec.length_frames,
         intercept_frame=spec.intercept_frame,
         attempts=job.attempt,
-        fingerprint=spec.fingerprint,
-        benchmark=BENCHMARK.version,
+        code=spec.code,
+        benchmark=BENCHMARK_ID,
     )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from dynahoi_lerobot.core.agent import Actor, Agent, Expert, Meeting, Observation, WorldState
 from dynahoi_lerobot.core.conventions import DISTURBANCE_STREAM, PALM_DOF
-from dynahoi_lerobot.core.rules import ControlClass
+from dynahoi_lerobot.core.protocols import ControlClass
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts.base import Teacher
 
@@ -159,12 +159,8 @@ class LabelledAgent(Actor):
     has_memory = True
 
     def __init__(self, agent: Agent, teacher: Teacher, name: str) -> None:
-        self.name, self.sees_images, self._agent, self._teacher = (
-            name,
-            agent.sees_images,
-            agent,
-            teacher,
-        )
+        self.name, self._agent, self._teacher = name, agent, teacher
+        self.sees_images, self.control_mode = agent.sees_images, agent.control_mode
 
     def reset(self, count: int) -> None:
         """Forget the last episodes."""

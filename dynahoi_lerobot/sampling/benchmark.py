@@ -13,7 +13,7 @@ from typing import Any
 
 from dynahoi_lerobot.core import conventions
 from dynahoi_lerobot.core.conventions import LOCALIZATION_RADIUS_M, UNIT_M
-from dynahoi_lerobot.core.rules import CONTROL_CLASSES
+from dynahoi_lerobot.core.protocols import CONTROL_CLASSES
 
 HOLD_CLEARANCE_M = LOCALIZATION_RADIUS_M + 0.005
 """Least distance of the target from the palm centre of a hand that never moves, from control start
@@ -198,3 +198,9 @@ BENCHMARK = Benchmark(
     ),
 )
 """The benchmark that the commands play."""
+
+EPISODES_DIGEST = "9f358bfb"
+"""Of the digests that `python benchmarks/pin.py` has pinned: of all episodes and some images."""
+
+BENCHMARK_ID = f"{BENCHMARK.version}-{EPISODES_DIGEST}"
+"""What recordings and results name: scores compare if it is the same."""

@@ -13,6 +13,9 @@ from pathlib import Path
 
 import dynahoi_lerobot
 from dynahoi_lerobot.core.registry import plugin_packages
+from dynahoi_lerobot.motions import MOTIONS
+from dynahoi_lerobot.objects import OBJECTS
+from dynahoi_lerobot.sampling.recipe import Recipe
 
 LIBRARIES = (
     "numpy",
@@ -40,7 +43,7 @@ DECIDING = (
 )
 """Rooms that decide what is in a dataset; all others read datasets, play policies or spread
 work."""
-DECIDING_MODULES = ("__init__.py", "captures.py", "generate/plan.py")
+DECIDING_MODULES = ("__init__.py", "captures.py", "rules.py", "generate/plan.py")
 """Modules outside them that do, too."""
 
 
@@ -57,6 +60,20 @@ def code_fingerprint() -> str:
     for name, which in surroundings().items():
         digest.update(f"{name}={which}".encode())
     return digest.hexdigest()[:16]
+
+
+def recipe_code(recipe: Recipe) -> str:
+    """Return ``code_fingerprint``, with the modules of motions and objects that a recipe names and
+    somebody else registered.
+    """
+    named = [
+        *(MOTIONS[name] for name in recipe.motions),
+        *(OBJECTS[name] for name in recipe.objects),
+    ]
+    extension = extension_fingerprint(named)
+    if not extension:
+        return code_fingerprint()
+    return hashlib.sha256((code_fingerprint() + extension).encode()).hexdigest()[:16]
 
 
 def surroundings() -> dict[str, str]:

@@ -9,14 +9,14 @@ from itertools import islice
 
 import numpy as np
 
-from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.core.conventions import CONTROL_DT
-from dynahoi_lerobot.core.rules import PROTOCOLS
+from dynahoi_lerobot.core.protocols import PROTOCOLS
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.motions import MOTIONS, Draw, Motion, PrescribedMotion, Retimed
 from dynahoi_lerobot.motions.launch import Box
 from dynahoi_lerobot.objects import OBJECTS, TargetObject
+from dynahoi_lerobot.sampling.fingerprint import recipe_code
 from dynahoi_lerobot.sampling.homes import choose_home, find_homes, in_arena
 from dynahoi_lerobot.sampling.randomization import randomize_appearance
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -114,8 +114,8 @@ class Candidate:
         """Draw duration and travel, and leave the capture rule the frames it needs after the
         intercept.
         """
-        timing = draw_timing(self.kind.name, self.recipe.protocol, self.rng)
-        shortest = timing.intercept_frame + 1 + CAPTURES[self.recipe.capture].hold_frames
+        timing = draw_timing(self.kind.name, self.recipe.rules.protocol, self.rng)
+        shortest = timing.intercept_frame + 1 + self.recipe.rules.capture_rule.hold_frames
         self.timing = replace(timing, length_frames=max(timing.length_frames, shortest))
 
     def draw_motion(self) -> bool:
@@ -174,7 +174,7 @@ class Candidate:
             paths_w: (F, 3) path of the untouched target [m], world, of each of ``motions``.
             home_pos_w: (3,) palm centre at the start [m], world.
         """
-        hand = HANDS[self.recipe.hand]
+        hand = HANDS[self.recipe.rules.hand_name]
         spec = EpisodeSpec(
             seed=self.seed,
             split=stream_label(self.recipe.split_definition.stream, self.recipe.salt),
@@ -182,8 +182,8 @@ class Candidate:
             target=self.target,
             appearance=Appearance.sample(self.rng),
             task=self._draw_instruction(),
-            protocol=self.recipe.protocol,
-            hand=self.recipe.hand,
+            protocol=self.recipe.rules.protocol,
+            hand=self.recipe.rules.hand_name,
             open_joints=hand.open_joints(),
             reference_joints=hand.reference_joints(self.target.grasp_radius_m),
             window_frames=self.timing.window_frames,
@@ -194,14 +194,14 @@ class Candidate:
             yaw_rad=float(self.rng.uniform(0, 2 * np.pi)),
             spin_rad_s=float(self.rng.uniform(-MAX_SPIN_RAD_S, MAX_SPIN_RAD_S)),
             target_path_w=paths_w[-1],
-            fingerprint=self.recipe.fingerprint(),
+            code=recipe_code(self.recipe),
         )
         spec = randomize_appearance(
             furnish(spec), self.recipe.appearance
         )  # around the longest path
         played = self.recipe.split_definition.path_speeds.index(self.recipe.path_speed)
         spec = replace(spec, motion=self.motions[played], target_path_w=paths_w[played])
-        return with_screen(spec) if PROTOCOLS[self.recipe.protocol].has_screen else spec
+        return with_screen(spec) if PROTOCOLS[self.recipe.rules.protocol].has_screen else spec
 
 
 def _attempt(recipe: Recipe, pending: dict[int, Candidate], threads: int) -> dict[int, EpisodeSpec]:
@@ -215,7 +215,7 @@ def _attempt(recipe: Recipe, pending: dict[int, Candidate], threads: int) -> dic
         [candidate.target for candidate, _ in worlds],
     )
     longest = [candidate.timing.path_frames for candidate, _ in worlds]
-    ahead = RollAhead(motions, targets, longest, hand=recipe.hand, threads=threads)
+    ahead = RollAhead(motions, targets, longest, hand=recipe.rules.hand_name, threads=threads)
     rows = iter(range(len(worlds)))
     rows_of = {i: list(islice(rows, len(candidate.motions))) for i, candidate in drawn}
     near = ahead.paths({row: c.timing.intercept_frame + 1 for i, c in drawn for row in rows_of[i]})

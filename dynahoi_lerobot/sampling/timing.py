@@ -19,7 +19,7 @@ from dynahoi_lerobot.core.conventions import (
     WINDOW_FRACTION,
 )
 from dynahoi_lerobot.core.numerics import cbrt
-from dynahoi_lerobot.core.rules import PROTOCOLS
+from dynahoi_lerobot.core.protocols import PROTOCOLS
 from dynahoi_lerobot.motions import MOTIONS, Motion
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 
@@ -74,7 +74,7 @@ def approach_frames(travel_m: float) -> int:
 
 def draw_timing(kind: str, protocol: str, rng: np.random.Generator) -> Timing:
     """Draw duration and travel of one episode of a kind of motion under one of
-    ``rules.PROTOCOLS``.
+    ``protocols.PROTOCOLS``.
     """
     table = kind_table(kind)
     duration, travel = np.unravel_index(rng.choice(table.size, p=table.ravel()), table.shape)

@@ -15,7 +15,7 @@ import numpy as np
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT, SCREEN_STREAM
 from dynahoi_lerobot.core.numerics import arcsin, arctan2, norm, product, quat_to_matrix, runs, tan
-from dynahoi_lerobot.core.rules import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS
+from dynahoi_lerobot.core.protocols import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.hands.base import CAMERA_POS
 from dynahoi_lerobot.motions.launch import Box, Launch

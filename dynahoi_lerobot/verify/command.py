@@ -17,7 +17,7 @@ from dynahoi_lerobot.core.reading import ReadError, decoded, reading
 from dynahoi_lerobot.dataset.manifest import Manifest, has_own_card
 from dynahoi_lerobot.dataset.paths import CARD_PATH, MANIFEST_PATH
 from dynahoi_lerobot.dataset.store import Store
-from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.rollout.recording import Recording
 from dynahoi_lerobot.verify.files import (
     edited,
     file_problems,
@@ -133,18 +133,20 @@ def verify(
     if CARD_PATH in manifest.files and not has_own_card(root, manifest):
         note(f"{CARD_PATH} is not the one that was written with the dataset, so it was not checked")
     findings += _guarded("format", chain(meta_problems(store, manifest), video_problems(store)))
-    recipe = _recipe(manifest)
-    findings += _guarded("seeds", seed_problems(store, manifest, recipe, note))
-    findings += _guarded("verdicts", _verdicts(store, recipe, progress))
+    recording = _recording(manifest)
+    findings += _guarded("seeds", seed_problems(store, manifest, recording, note))
+    findings += _guarded("verdicts", _verdicts(store, recording, progress))
     if replayed:
         drawn = drawn_evenly(store, replayed, np.random.default_rng())
         note(f"replaying the episodes {', '.join(map(str, drawn))}")
-        findings += _guarded("replay", replay_problems(store, drawn, recipe, note))
+        findings += _guarded("replay", replay_problems(store, drawn, recording, note))
     return findings
 
 
-def _verdicts(store: Store, recipe: Recipe | None, progress: Callable[[], object]) -> Iterator[str]:
-    hand = recipe.hand if recipe else None
+def _verdicts(
+    store: Store, recording: Recording | None, progress: Callable[[], object]
+) -> Iterator[str]:
+    hand = recording.recipe.rules.hand_name if recording else None
     for row, table in store.stored_episodes():
         where = f"episode {row['episode_index']}: "
         try:
@@ -156,13 +158,13 @@ def _verdicts(store: Store, recipe: Recipe | None, progress: Callable[[], object
         progress()
 
 
-def _recipe(manifest: Manifest) -> Recipe | None:
-    """Return the recipe that the manifest names; None if it names none, or none that this project
-    can read.
+def _recording(manifest: Manifest) -> Recording | None:
+    """Return the recording that the manifest names; None if it names none, or none that this
+    project can read.
     """
     with suppress(ReadError), reading(Path(MANIFEST_PATH)):
-        stored = manifest.provenance.get("recipe")
-        return None if stored is None else decoded(Recipe, stored)
+        stored = manifest.provenance.get("recording")
+        return None if stored is None else decoded(Recording, stored)
     return None
 
 

@@ -29,7 +29,7 @@ from dynahoi_lerobot.dataset.statistics import SHARES, level_counts
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.video import Encoding, VideoFile
 from dynahoi_lerobot.dataset.writer import DatasetWriter
-from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.rollout.recording import Recording
 
 EXACT = 1e-9
 """Numbers that differ by less, of them or of 1, are the same: another processor adds up in another
@@ -103,7 +103,7 @@ def _facts(said: Manifest, made: Manifest, failed: int) -> Iterator[str]:
     for name in ("episodes", "frames", "seeds", "benchmark"):
         if (one := getattr(said, name)) != (other := getattr(made, name)):
             yield f"{MANIFEST_PATH} says {name} is {short(one)}; the episodes give {short(other)}"
-    if (told := said.yields) or ("recipe" in said.provenance and "kept" not in said.provenance):
+    if (told := said.yields) or ("recording" in said.provenance and "kept" not in said.provenance):
         counts = {"kept": made.episodes, "failed": failed} | {
             name: told.get(name, 0) for name in ("missed", "rejected")
         }
@@ -139,8 +139,9 @@ class _Again(DatasetWriter):
 
     def __init__(self, root: Path, store: Store, manifest: Manifest) -> None:
         plan, described = manifest.provenance, store.features
-        if "recipe" in plan:
-            columns = (*decoded(Recipe, plan["recipe"]).features(), *episode_features())
+        if "recording" in plan:
+            recording = decoded(Recording, plan["recording"])
+            columns = (*recording.recipe.rules.features, *episode_features())
             encoding, subtasks = decoded(Encoding, plan["encoding"]), plan["subtasks"]
         else:
             columns = (*described_features(described).values(), *store.array_features)

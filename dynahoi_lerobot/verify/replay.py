@@ -24,8 +24,8 @@ from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.video import VideoFile, decode, encode, encoded_stream, stored_packets
 from dynahoi_lerobot.rollout.loop import played_again
 from dynahoi_lerobot.rollout.recorder import Job, episode_constants, episode_meta
+from dynahoi_lerobot.rollout.recording import Recording
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
-from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.splits import REDRAW_STRIDE
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -39,7 +39,10 @@ of 255]."""
 
 
 def seed_problems(
-    store: Store, manifest: Manifest, recipe: Recipe | None, note: Callable[[str], object]
+    store: Store,
+    manifest: Manifest,
+    recording: Recording | None,
+    note: Callable[[str], object],
 ) -> Iterator[str]:
     """Yield seeds that are not the plan's, and facts and constants of episodes that their seeds do
     not give.
@@ -47,7 +50,7 @@ def seed_problems(
     ``note`` is told in a sentence why that could not be checked, if so.
     """
     plan, seeds = manifest.provenance, [row["seed"] for row in store.rows]
-    if recipe is None:
+    if recording is None:
         return note("no recipe is known, so nothing was compared with the seeds")
     kept = plan.get("kept", range(plan["episodes"]))
     if sorted(seed % REDRAW_STRIDE for seed in seeds) != [plan["seed"] + slot for slot in kept]:
@@ -56,11 +59,12 @@ def seed_problems(
         return note(
             f"made by other code ({plan['code']}), so nothing else was compared with the seeds"
         )
+    recipe = recording.recipe
     if recipe.salt:
         return note(
             "its episodes are hidden behind a salt, so nothing else was compared with the seeds"
         )
-    batch, episodes = WorldBatch(recipe, 1), store.stored_episodes()
+    batch, episodes = WorldBatch(recipe.rules, 1), store.stored_episodes()
     for first in range(0, len(seeds), AT_ONCE):
         for offset, spec in enumerate(
             sample_specs(recipe, seeds[first : first + AT_ONCE], threads=0)
@@ -68,9 +72,7 @@ def seed_problems(
             row, table = next(episodes)
             stored = store.as_episode(row, table, images=False)
             job = Job(0, spec, 0, stored.meta.attempts)
-            meta = episode_meta(
-                job, recipe.capture, recipe.control_class, recipe.actor or recipe.expert
-            )
+            meta = episode_meta(job, recipe.rules, recording.actor or recording.expert_name)
             constants = episode_constants(batch, spec, None)
             wanted = {name: value for name, value in constants.items() if name not in PLAYED}
             problems = differences(vars(meta) | wanted, vars(stored.meta) | vars(stored))
@@ -102,25 +104,27 @@ def differences(made: Mapping[str, Any], stored: Mapping[str, Any]) -> Iterator[
 
 
 def replay_problems(
-    store: Store, indices: list[int], recipe: Recipe | None, note: Callable[[str], object]
+    store: Store,
+    indices: list[int],
+    recording: Recording | None,
+    note: Callable[[str], object],
 ) -> Iterator[str]:
-    """Play episodes again by the manifest's recipe, None if it cannot be read, and yield what
+    """Play episodes again by the manifest's recording, None if it cannot be read, and yield what
     differs.
 
-    ``note`` is told in a sentence what was found equal.
+    ``note`` is told in a sentence what was found equal, and that other code made the dataset.
     """
-    made_with, here = Manifest.read(store.root).provenance.get("code"), code_fingerprint()
-    if recipe is None or made_with != here:
-        yield (
-            f"the dataset was made by other code ({made_with}, here is {here}); only the same "
-            f"code makes it again"
-        )
+    if recording is None:
+        yield "the manifest describes no recording that can be played again"
         return
+    made_with, here = Manifest.read(store.root).provenance.get("code"), code_fingerprint()
+    if made_with != here:
+        note(f"made by other code ({made_with}, here is {here}), so that it may play differently")
     videos = equal = 0
     for index in indices:
         table = store.frames(row := store.row(index))
         stored = store.as_episode(row, table, images=False)
-        if (made := played_again(recipe, stored)) is None:
+        if (made := played_again(recording, stored)) is None:
             yield f"episode {index}: the expert does not manage seed {row['seed']}"
             continue
         problems = differences(_content(made), _content(stored))

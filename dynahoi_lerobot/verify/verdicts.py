@@ -14,7 +14,7 @@ from dynahoi_lerobot.captures import CAPTURES, CaptureRule, Track
 from dynahoi_lerobot.core.conventions import CONTROL_DT, FINGERS
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.numerics import matrix_to_rotvec, quat_to_matrix, segment_distance
-from dynahoi_lerobot.core.rules import CONTROL_CLASSES, one_hot_phase
+from dynahoi_lerobot.core.protocols import CONTROL_CLASSES, one_hot_phase
 from dynahoi_lerobot.dataset.quality_control import not_finite
 from dynahoi_lerobot.objects.primitives import from_table
 from dynahoi_lerobot.rollout.recorder import TOUCH_M, next_frames

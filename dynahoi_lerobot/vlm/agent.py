@@ -22,9 +22,10 @@ import openai
 from pydantic import BaseModel, Field, FiniteFloat, ValidationError, model_validator
 
 from dynahoi_lerobot.core.agent import ChunkAgent, Observation
+from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.core.conventions import EGO_VIEW, HAND_DOF
+from dynahoi_lerobot.core.protocols import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS, is_acting
 from dynahoi_lerobot.core.registry import known
-from dynahoi_lerobot.core.rules import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS, is_acting
 from dynahoi_lerobot.vlm.prompt import DEFAULT_PROMPT, HORIZON, PROMPTS, SKILLS, messages
 
 MAX_TOKENS = 4096
@@ -41,6 +42,7 @@ class VlmAgent(ChunkAgent):
     """
 
     sees_images = True
+    control_mode = JOINTS
 
     def __init__(self, client: "VlmClient", *, name: str = "vlm") -> None:
         """Ask ``client`` about all worlds that need a chunk at the same time."""

@@ -7,13 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from mujoco.batch import Batch
 
-from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.core.agent import Observation, WorldState
 from dynahoi_lerobot.core.conventions import HAND_DOF, PALM_DOF
 from dynahoi_lerobot.core.features import TRUTH
-from dynahoi_lerobot.core.rules import CONTROL_CLASSES, one_hot_phase
+from dynahoi_lerobot.core.protocols import one_hot_phase
 from dynahoi_lerobot.core.spec import EpisodeSpec
-from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.rules import Rules
 from dynahoi_lerobot.scene.scene import Scene, compile_scene
 from dynahoi_lerobot.scene.world_fields import WorldFields
 from dynahoi_lerobot.world.commands import Commands
@@ -33,7 +32,7 @@ class WorldBatch:
     and measurements on their way out.
 
     Attributes:
-        recipe, size: as given.
+        rules, size: as given.
         scene: the compiled model and where things are in it.
         rule: the capture rule.
         control: the control class, whose limits every command is held to.
@@ -47,11 +46,11 @@ class WorldBatch:
         localized, palm_distance, contacts: what `Physics` keeps of the last control step.
     """
 
-    def __init__(self, recipe: Recipe, size: int, threads: int = 0) -> None:
+    def __init__(self, rules: Rules, size: int, threads: int = 0) -> None:
         """Allocate ``size`` worlds.
 
         Args:
-            recipe: rules of the episodes; their motions, objects and seeds do not matter here.
+            rules: how the episodes play and are seen.
             size: N.
             threads: for physics, 0 for all cores; without influence on the result.
 
@@ -60,21 +59,21 @@ class WorldBatch:
         """
         if size < 1:
             raise ValueError(f"a batch needs at least 1 world, got {size}")
-        self.recipe, self.size = recipe, size
-        self.scene: Scene = compile_scene(recipe.hand)
-        self.rule, self.control = CAPTURES[recipe.capture](), CONTROL_CLASSES[recipe.control_class]
+        self.rules, self.size = rules, size
+        self.scene: Scene = compile_scene(rules.hand_name)
+        self.rule, self.control = rules.capture_rule(), rules.control
         self.specs: list[EpisodeSpec | None] = [None] * size
         self.frame, self.attempt = np.zeros(size, int), np.ones(size, int)
         self._origin = np.zeros((size, HAND_DOF))  # homes [m], world, and zero for the joints
         self._batch = Batch(self.scene.model, nsim=size, nthread=threads)
         self._fields = WorldFields(self._batch, self.scene)
-        self.commands = Commands(size, self.scene, self.rule, self.control, recipe.control_mode)
+        self.commands = Commands(size, self.scene, self.rule, self.control, rules.control_mode)
         self.given, self.executed = self.commands.given, self.commands.executed
         self._physics = Physics(self.scene, self._batch, self._fields, self.rule)
         self.localized, self.palm_distance = self._physics.localized, self._physics.palm_distance
         self.contacts = self._physics.contacts
         self._fingertips = Fingertips(self.scene, self._batch, self._fields)
-        self.cameras = Cameras(self.scene, self._batch, recipe, self.specs, self.frame)
+        self.cameras = Cameras(self.scene, self._batch, rules, self.specs, self.frame)
         self._threads, self._stage = threads, None
 
     def reset(
@@ -114,7 +113,12 @@ class WorldBatch:
         self._fields.qpos[:, first : first + PALM_DOF] += self.home_pos_w
         self._batch.forward(stage=KINEMATICS)
 
-    def step(self, actions: np.ndarray, ids: np.ndarray | None = None) -> None:
+    def step(
+        self,
+        actions: np.ndarray,
+        ids: np.ndarray | None = None,
+        control_mode: str | None = None,
+    ) -> None:
         """Advance worlds ``ids`` (default: all) by one control step of 0.05 s.
 
         During the observation window the hand is held at home; commands that would take effect in
@@ -124,12 +128,13 @@ class WorldBatch:
             actions: (N, 18) palm positions [m], home frame, and joint angles [rad], or (N, 4) in
                 control mode ``grasp``; those of other worlds are ignored.
             ids: sorted, distinct worlds.
+            control_mode: of the actions; by default that of the rules.
 
         Raises:
             ValueError: for a wrong shape or a value that is not finite; no world moves then.
         """
         chosen = np.arange(self.size) if ids is None else np.asarray(ids, int)
-        wanted = self.commands.read(actions, self.state)[chosen]
+        wanted = self.commands.read(actions, self.state, control_mode)[chosen]
         if not len(chosen):
             return
         set_points = (
@@ -193,13 +198,13 @@ class WorldBatch:
         """Return what a policy may see.
 
         Args:
-            images: whether to render the views of the recipe; without, they cost nothing.
+            images: whether to render the views of the rules; without, they cost nothing.
             ids: the worlds to render (default: all); the images of the others are black, as are
                 those of worlds in the control phase of a protocol with ``blind_control``.
         """
         seen, state = np.arange(self.size) if ids is None else ids, self.state
-        shown = self.cameras.images(seen) if images and self.recipe.image_size else {}
-        truth = self.recipe.environment_state == TRUTH
+        shown = self.cameras.images(seen) if images and self.rules.image_size else {}
+        truth = self.rules.environment_state == TRUTH
         return Observation(
             images=shown,
             state=state.astype(np.float32),
@@ -217,7 +222,7 @@ class WorldBatch:
     @property
     def renders_later(self) -> bool:
         """Whether images can be rendered once an episode has ended, by ``images_of``."""
-        return self.recipe.image_size > 0 and not self.cameras.in_order
+        return self.rules.image_size > 0 and not self.cameras.in_order
 
     def images_of(self, i: int, visual_states: np.ndarray) -> dict[str, np.ndarray]:
         """Return the views of world ``i`` in the first T frames of its episode, of which
@@ -227,7 +232,7 @@ class WorldBatch:
         """
         spec = self.specs[i]
         assert spec is not None, "no episode has begun"
-        self._stage = self._stage or Stage(self.scene, self.recipe, self._threads)
+        self._stage = self._stage or Stage(self.scene, self.rules, self._threads)
         return self._stage.images(self._fields, i, spec, visual_states)
 
     def world_state(self, observation: Observation) -> WorldState:

@@ -7,7 +7,7 @@ import numpy as np
 from dynahoi_lerobot.captures import CaptureRule
 from dynahoi_lerobot.core.control_mode import CONTROL_MODES, GRASP, JOINTS, from_grasp, to_grasp
 from dynahoi_lerobot.core.conventions import CONTROL_DT, HAND_DOF, HAND_NAMES, PALM_DOF, SUBSTEPS
-from dynahoi_lerobot.core.rules import ControlClass
+from dynahoi_lerobot.core.protocols import ControlClass
 from dynahoi_lerobot.scene.scene import Scene
 
 ROUNDING = 1e-5
@@ -77,19 +77,19 @@ class Commands:
         self._way[1:, i] = np.clip(rest, *self._range_h[:, i])
         self.given[i] = self.executed[i] = rest
 
-    def read(self, actions: np.ndarray, state: np.ndarray) -> np.ndarray:
-        """Return (N, 18) the commands of actions; experts' commands stay what they are in every
-        control mode.
+    def read(self, actions: np.ndarray, state: np.ndarray, mode: str | None = None) -> np.ndarray:
+        """Return (N, 18) the commands of actions.
 
         Args:
-            actions: (N, 4) in control mode ``grasp``, or (N, 18) commands.
+            actions: (N, 4) in control mode ``grasp``, else (N, 18) commands.
             state: (N, 18) of the hands, from which displacements are counted.
+            mode: control mode of the actions; by default that of the worlds.
 
         Raises:
             ValueError: for a wrong shape, or a value that is not a finite real number.
         """
         count = len(self.given)
-        if self._mode == JOINTS or np.shape(actions)[1:] == (HAND_DOF,):
+        if (mode or self._mode) == JOINTS:
             return _checked(actions, count)
         given = _checked(actions, count, len(CONTROL_MODES[GRASP]))
         return from_grasp(given, _as_observed(state), *self._open_and_closed)

@@ -20,11 +20,11 @@ from dynahoi_lerobot.core.conventions import (
 )
 from dynahoi_lerobot.core.features import EYE
 from dynahoi_lerobot.core.numerics import matrix_to_rotvec, tan
-from dynahoi_lerobot.core.rules import PROTOCOLS
+from dynahoi_lerobot.core.protocols import PROTOCOLS
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.renderers import RENDERERS, Renderer
 from dynahoi_lerobot.renderers.views import MOTION_VIEW, VIEWS
-from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.rules import Rules
 from dynahoi_lerobot.scene.scene import Scene
 from dynahoi_lerobot.scene.signed_distance import signed_distance
 from dynahoi_lerobot.scene.world_fields import WorldFields
@@ -61,8 +61,8 @@ def _grey(image: np.ndarray) -> np.ndarray:
 
 
 class Cameras:
-    """What N worlds show of their episodes: a recipe's views, with its render noise, and what its
-    eye sees in them.
+    """What N worlds show of their episodes: the views of their rules, with render noise, and what
+    the eye sees in them.
 
     A camera costs nothing until something is drawn through it.
 
@@ -76,30 +76,25 @@ class Cameras:
         self,
         scene: Scene,
         batch: Batch,
-        recipe: Recipe,
+        rules: Rules,
         specs: list[EpisodeSpec | None],
         frame: np.ndarray,
     ) -> None:
-        """Show ``batch``, which runs ``scene.model`` by the rules of ``recipe``.
+        """Show ``batch``, which runs ``scene.model`` by ``rules``.
 
         ``specs`` and ``frame`` (N,) of its episodes are kept up to date by whoever plays them.
 
         Raises:
             ValueError: for an eye without the ObAct plugin.
         """
-        looks = recipe.environment_state == EYE
-        self.image_size = recipe.image_size or (
+        looks = rules.environment_state == EYE
+        self.image_size = rules.image_size or (
             DETECTOR_IMAGE_SIZE_PX if looks else DEFAULT_IMAGE_SIZE_PX
         )
-        self._scene, self._batch, self._recipe, self._specs, self._frame = (
-            scene,
-            batch,
-            recipe,
-            specs,
-            frame,
-        )
+        self._scene, self._batch, self._rules = scene, batch, rules
+        self._specs, self._frame = specs, frame
         self._renderers: dict[str, Renderer] = {}
-        self._views = (EGO_VIEW, *recipe.views)
+        self._views = (EGO_VIEW, *rules.views)
         self._grey = FrameHistory(
             batch.nsim, MOTION_FRAMES[-1] + 1, (self.image_size, self.image_size), np.uint8
         )
@@ -165,7 +160,7 @@ class Cameras:
         """(N, H, W, 3) uint8 RGB of a view with its render noise; only worlds ``ids`` (n,) are
         drawn.
         """
-        images, levels = self.render(ids, view), self._recipe.render_noise
+        images, levels = self.render(ids, view), self._rules.render_noise
         if levels:
             images = images.copy()
             for i in ids:
@@ -197,7 +192,7 @@ class Cameras:
 
     def _renderer(self, camera: str) -> Renderer:
         if camera not in self._renderers:
-            renderer = RENDERERS[self._recipe.renderer]
+            renderer = RENDERERS[self._rules.renderer]
             self._renderers[camera] = renderer(self._scene, self._batch, self.image_size, camera)
             self._batch.forward(stage=KINEMATICS)  # a new renderer asks the batch for further poses
         return self._renderers[camera]
@@ -220,13 +215,13 @@ def _detector(scene: Scene, batch: Batch, image_size: int) -> Detector:
 class Stage:
     """Renders episodes that have been played, some frames at a time, each in a row of its own."""
 
-    def __init__(self, scene: Scene, recipe: Recipe, threads: int) -> None:
+    def __init__(self, scene: Scene, rules: Rules, threads: int) -> None:
         """Allocate the rows; ``threads`` are for kinematics, 0 for all cores."""
         self._batch = Batch(scene.model, nsim=STAGE_FRAMES, nthread=threads)
         self._fields = WorldFields(self._batch, scene)
         self._specs: list[EpisodeSpec | None] = [None] * STAGE_FRAMES
         self._frame = np.zeros(STAGE_FRAMES, int)
-        self._cameras = Cameras(scene, self._batch, recipe, self._specs, self._frame)
+        self._cameras = Cameras(scene, self._batch, rules, self._specs, self._frame)
 
     def images(
         self, world: WorldFields, i: int, spec: EpisodeSpec, visual_states: np.ndarray

@@ -70,7 +70,7 @@ class DynahoiBenchmark(StepBenchmark):
             QueuedPolicy("the model server", n_action_steps),
         )
         self._inference = None if inference == SYNC else StepwiseInference(server, timing)
-        self._recipe = Recipe(split="test_small").changed(**fields)
+        self._recipe = Recipe.of(**{"split": "test_small"} | fields)
         self._kinds, self._send_state = kinds, send_state
         self._env: DynahoiVectorEnv | None = None
 

@@ -15,7 +15,7 @@ from dynahoi_lerobot.play.server import BAD_MESSAGE, BUSY, MAX_MESSAGE_BYTES, Pl
 from dynahoi_lerobot.play.steering import Steering
 from dynahoi_lerobot.sampling.recipe import Recipe
 
-RECIPE = Recipe(split="val", image_size=32)
+RECIPE = Recipe.of(split="val", image_size=32)
 
 
 class Fast:

@@ -29,7 +29,7 @@ def place(mask: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("camera", ["ego", "side"])
 def test_a_sighting_is_drawn_where_the_camera_shows_the_target(camera: str):
     view = f"{camera}_segmentation"
-    batch = WorldBatch(recipe := Recipe(split="test", image_size=160, views=(view,)), 1)
+    batch = WorldBatch(recipe := Recipe.of(split="test", image_size=160, views=(view,)), 1)
     episode = next(evaluate(batch, EXPERTS["intercept"](), sample_specs(recipe, [0]), images=True))
     far = torch.full((1, 1, 3), -9.0)  # behind both cameras
     rest = {"forecast": far, "ahead_s": torch.zeros(1), "meeting": far[0], "weights": None}

@@ -1,5 +1,6 @@
 """Four numbers of a grasp stand for 18, in the world, in the environment and in datasets alike."""
 
+import json
 from pathlib import Path
 
 import gymnasium as gym
@@ -12,11 +13,12 @@ from lerobot_env_dynahoi import DynahoiEnvConfig
 from dynahoi_lerobot.core.agent import Agent, Observation
 from dynahoi_lerobot.core.control_mode import from_grasp, to_grasp
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE
+from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.env.vector_env import DynahoiEnv, DynahoiVectorEnv
 from dynahoi_lerobot.evaluate.checkpoint import trained_for
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.rollout.loop import evaluate, record
-from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.rollout.recording import Recording
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 
@@ -24,7 +26,8 @@ CLOSING_RAD = 0.03
 """One number closes all joints, and goals keep each of them within the grasp of a thin or thick
 object: 0.026 rad apart for the ring among these episodes, 0.045 for a cone, the most among 66 of
 ``train``."""
-RECIPE = Recipe(control_mode="grasp", image_size=0, motions=("constant", "lob"))
+RECORDING = Recording.of(control_mode="grasp", image_size=0, motions=("constant", "lob"))
+RECIPE = RECORDING.recipe
 
 
 def test_the_two_ways_are_inverse():
@@ -40,11 +43,11 @@ def test_the_two_ways_are_inverse():
 
 
 def test_labels_of_both_modes_are_the_same_goals():
-    hand = HANDS[RECIPE.hand]
+    hand = HANDS[RECIPE.rules.hand_name]
     poses = hand.open_joints(), hand.closed_joints()
     pairs = zip(
-        record(RECIPE, range(4)),
-        record(RECIPE.changed(control_mode="joints"), range(4)),
+        record(RECORDING, range(4)),
+        record(changed(RECORDING, {"control_mode": "joints"}), range(4)),
         strict=True,
     )
     for grasp, joints in pairs:
@@ -68,8 +71,9 @@ class Reaching(Agent):
 
 
 def test_an_agent_that_gives_them_catches():
-    (episode,) = record(RECIPE.changed(perturbed_share=0.0), [0])
-    (again,) = evaluate(WorldBatch(RECIPE, 1), Reaching(episode.action), sample_specs(RECIPE, [0]))
+    (episode,) = record(changed(RECORDING, {"perturbed_share": 0.0}), [0])
+    specs = sample_specs(RECIPE, [0])
+    (again,) = evaluate(WorldBatch(RECIPE.rules, 1), Reaching(episode.action), specs)
     assert again.success
     np.testing.assert_allclose(again.state[:, :3], episode.state[:, :3], atol=1e-4)
     np.testing.assert_allclose(again.state[:, 3:], episode.state[:, 3:], atol=CLOSING_RAD)
@@ -95,11 +99,11 @@ def test_environments_take_four_numbers():
     assert DynahoiEnvConfig(control_mode="grasp").features["action"].shape == (4,)
 
 
-def test_a_checkpoint_tells_by_the_size_of_its_actions(tmp_path: Path):
+def test_a_checkpoint_says_in_a_word_what_its_actions_and_its_state_are(tmp_path: Path):
     state = {ENVIRONMENT_STATE: PolicyFeature(FeatureType.ENV, (13,))}
-    for size, told in ((4, {"control_mode": "grasp"}), (18, {})):
-        output = {"action": PolicyFeature(FeatureType.ACTION, (size,))}
-        ACTConfig(input_features=state, output_features=output, device="cpu").save_pretrained(
-            tmp_path / str(size)
-        )
-        assert trained_for(tmp_path / str(size)) == told
+    output = {"action": PolicyFeature(FeatureType.ACTION, (4,))}
+    ACTConfig(input_features=state, output_features=output, device="cpu").save_pretrained(tmp_path)
+    assert trained_for(tmp_path) == {"views": ()}
+    words = {"control_mode": "grasp", "environment_state": "truth"}
+    (tmp_path / "train_config.json").write_text(json.dumps({"env": {"type": "dynahoi"} | words}))
+    assert trained_for(tmp_path) == words | {"views": ()}

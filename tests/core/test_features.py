@@ -19,6 +19,8 @@ from dynahoi_lerobot.core.arguments import (
 )
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import FEATURES
+from dynahoi_lerobot.rollout.recording import Recording
+from dynahoi_lerobot.rules import Rules
 from dynahoi_lerobot.sampling.recipe import Recipe
 
 
@@ -57,9 +59,7 @@ class Options:
     size: int | None = option(None, "half of 100 %", whole(1, 9))
     dry_run: bool = option(False, "a switch")
     sets: list[str] = option(list, "may be repeated")
-    rules: dict[str, Any] = given_of(
-        Recipe, tuple(entry.name for entry in fields(Recipe)), protocol="more of it"
-    )
+    given: dict[str, Any] = given_of(Recording, {Rules: "more of it"})
 
 
 def read(*words: str) -> Options:
@@ -81,9 +81,11 @@ def test_every_option_is_helped() -> None:
     add_options(parser, Options)
     told = " ".join(parser.format_help().split())
     assert "half of 100 %" in told
-    for entry in fields(Recipe):
-        assert f"--{entry.name.replace('_', '-')}" in told
-        assert entry.metadata["help"] in told
+    for entry in (*fields(Recording), *fields(Recipe), *fields(Rules)):
+        if "help" in entry.metadata:
+            assert f"--{entry.name.replace('_', '-')}" in told
+            assert entry.metadata["help"] in told
+    assert told.count("more of it") == len(fields(Rules))
 
 
 def test_only_what_is_said_of_a_recipe_is_given_and_has_the_type_of_its_field():
@@ -94,10 +96,10 @@ def test_only_what_is_said_of_a_recipe_is_given_and_has_the_type_of_its_field():
         "--keep-failures",
         "--capture=contact",
     )
-    assert given.rules == {
+    assert given.given == {
         "motions": ("lob", "ramp"), "image_size": 0, "perturbed_share": 0.1, "keep_failures": True,
         "capture": "contact",
     }  # fmt: skip
-    recipe = Recipe().changed(**given.rules)
-    assert (recipe.hand, recipe.expert) == ("opposed", "match"), "they come with the capture rule"
-    assert Recipe(capture="contact").changed(image_size=32).hand == "opposed"
+    recording = Recording.of(**given.given)
+    assert recording.expert_name == "match", "it comes with the capture rule"
+    assert recording.recipe.rules.hand_name == "opposed"

@@ -8,6 +8,7 @@ differently, and can be told not to use them.
 import pytest
 from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__
 
+from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -37,18 +38,22 @@ def played() -> list[str]:
     """What the expert does in its first episode of each kind, and in some behind a screen and with
     contacts.
     """
-    lines, test = [], Recipe(split="test", image_size=0)
+    lines, test = [], Recipe.of(split="test", image_size=0)
     for recipe, count in (
         (test, 22),
-        (test.changed(protocol="occluded"), 4),
-        (test.changed(capture="contact"), 4),
+        (changed(test, {"protocol": "occluded"}), 4),
+        (changed(test, {"capture": "contact"}), 4),
     ):
         specs = sample_specs(recipe, range(count), threads=1)
-        for episode in evaluate(WorldBatch(recipe, 11, threads=1), EXPERTS[recipe.expert](), specs):
+        for episode in evaluate(
+            WorldBatch(recipe.rules, 11, threads=1),
+            EXPERTS[recipe.rules.capture_rule.expert](),
+            specs,
+        ):
             spec = specs[episode.meta.seed]
             lines.append(
-                f"{recipe.capture} {recipe.protocol} {spec.motion.name} {spec.appearance} "
-                f"{digest(episode)}"
+                f"{recipe.rules.capture} {recipe.rules.protocol} {spec.motion.name} "
+                f"{spec.appearance} {digest(episode)}"
             )
     return lines
 

@@ -38,11 +38,10 @@ from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store, open_dataset
 from dynahoi_lerobot.dataset.video import Encoding
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
-from dynahoi_lerobot.evaluate.results import RunInfo, read_results
-from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.evaluate.results import read_results
 from tests.checkpoints import saved, tiny_diffusion
 from tests.dataset.episodes import write
-from tests.synthetic import synthetic_episode, write_results
+from tests.synthetic import run_info, synthetic_episode, write_results
 from tests.tools import edit_json
 
 
@@ -63,14 +62,7 @@ def impatience() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("results") / "results"
-    info = RunInfo(
-        "me",
-        "test",
-        "attach",
-        "dynahoi evaluate",
-        "f",
-        {"recipe": Recipe().stored(), "inference": "sync"},
-    )
+    info = run_info("me", extra={"inference": "sync"})
     write_results(folder, [synthetic_episode(seed, image_size=None) for seed in range(2)], info)
     return folder
 
@@ -182,7 +174,7 @@ def changes(content: dict[str, Any], depth: int) -> Iterator[dict[str, Any]]:
 @pytest.mark.parametrize(
     ("artefact", "name", "opener"),
     [
-        ("results", "metrics.json", lambda root: read_results(root).rules),
+        ("results", "metrics.json", lambda root: read_results(root).conditions),
         ("dataset", "meta/info.json", lambda root: (Store(root).image_keys, Store(root).rows)),
         ("dataset", "meta/manifest.json", Manifest.read),
     ],

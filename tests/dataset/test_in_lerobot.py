@@ -208,12 +208,14 @@ def test_the_replay_buffer_gets_a_reward_per_success_and_an_end_per_episode(stor
     transitions = ReplayBuffer._lerobotdataset_to_transitions(open_dataset(root), [STATE])
     ends = np.cumsum([len(episode) for episode in episodes]) - 1
     assert np.flatnonzero([t["done"] for t in transitions]).tolist() == ends.tolist()
-    (rewarded,) = np.flatnonzero([t["reward"] for t in transitions])
+    rewards = np.array([t["reward"] for t in transitions])
+    rewarded = int(rewards.argmax())
     first = episodes[0].first_localized
     after = torch.tensor(episodes[0].state[first])
     assert rewarded == first - 1, "the action that leads to success"
     assert torch.equal(transitions[rewarded]["next_state"][STATE][0], after)
     assert not transitions[rewarded]["done"]
+    assert rewards[episodes[0].meta.window_frames : first - 1].min() > 0, "the hand comes closer"
 
 
 def test_the_columns_are_those_of_lerobots_own_recordings(stored) -> None:

@@ -8,8 +8,8 @@ import pytest
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.dataset.quality_control import trajectory_problems
 from dynahoi_lerobot.rollout.loop import record
+from dynahoi_lerobot.rollout.recording import Recording
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
-from dynahoi_lerobot.sampling.recipe import Recipe
 from tests.dataset.episodes import changed
 from tests.synthetic import synthetic_episode
 
@@ -27,7 +27,7 @@ KINDS = len(BENCHMARK.splits["train"].motions)
     ],
 )
 def test_experts_recordings_pass(capture, options, count):
-    episodes = list(record(Recipe(capture=capture, image_size=0, **options), range(count)))
+    episodes = list(record(Recording.of(capture=capture, image_size=0, **options), range(count)))
     assert len(episodes) > 0.8 * count
     found = {episode.meta.seed: problems(episode) for episode in episodes}
     assert not any(found.values()), found

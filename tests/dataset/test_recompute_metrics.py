@@ -2,7 +2,6 @@
 of the package.
 """
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +9,7 @@ import pandas as pd
 import pytest
 
 from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.dataset import write_episodes
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.experts import EXPERTS
@@ -17,6 +17,7 @@ from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationPlan
 from dynahoi_lerobot.metrics import measure
 from dynahoi_lerobot.rollout.loop import evaluate, record
+from dynahoi_lerobot.rollout.recording import Recording
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -26,31 +27,31 @@ SEVEN = ("S_loc", "S_gra", "E_loc", "E_gra", "Q_smooth", "Q_line", "R_time")
 EPISODES = 11
 """Of half of the kinds of motion, as metrics know nothing of kinds."""
 RECIPES = {
-    "attach": Recipe(expert="pursuit", keep_failures=True),
-    "attach_lenient": Recipe(capture="attach_lenient", expert="pursuit", keep_failures=True),
-    "late": Recipe(
+    "attach": Recording.of(expert="pursuit", keep_failures=True),
+    "attach_lenient": Recording.of(capture="attach_lenient", expert="pursuit", keep_failures=True),
+    "late": Recording.of(
         expert="constant_velocity", control_class="late", protocol="direct_act", keep_failures=True
     ),
-    "contact": Recipe(capture="contact", expert="pursuit", keep_failures=True),
+    "contact": Recording.of(capture="contact", expert="pursuit", keep_failures=True),
 }
 POSITION_ERROR_M = 3e-6
 """Of distances from poses in float32; ellipsoids divide by a gradient that vanishes towards their
 middle."""
 
 
-def generated(recipe: Recipe, root: Path) -> list[Episode]:
+def generated(recording: Recording, root: Path) -> list[Episode]:
     """Generate a dataset, and return its episodes as they were played."""
     kept: dict[int, Episode] = {}
 
-    def remember(recipe: Recipe, seeds):
-        for episode in record(recipe, seeds):
+    def remember(recording: Recording, seeds):
+        for episode in record(recording, seeds):
             kept[episode.meta.seed] = episode
             yield episode
 
     first = (
-        EPISODES if recipe.capture == "contact" else 0
+        EPISODES if recording.recipe.rules.capture == "contact" else 0
     )  # of the episodes before that, it holds none
-    manifest = generate(GenerationPlan(recipe, EPISODES, first), root, record=remember)
+    manifest = generate(GenerationPlan(recording, EPISODES, first), root, record=remember)
     return [kept[seed] for seed in manifest.seeds]
 
 
@@ -70,7 +71,7 @@ def test_a_dataset_with_failures_gives_the_same_metrics_and_fingertip_distances(
     assert "dynahoi" not in Path(recompute_metrics.__file__).read_text(), (
         "it knows nothing of the package"
     )
-    episodes = generated(replace(RECIPES[name], image_size=0), tmp_path / "d")
+    episodes = generated(changed(RECIPES[name], {"image_size": 0}), tmp_path / "d")
     assert {episode.success for episode in episodes} == {True, False}
     assert_same(tmp_path / "d", episodes)
     store = Store(tmp_path / "d")
@@ -85,9 +86,9 @@ def test_a_dataset_with_failures_gives_the_same_metrics_and_fingertip_distances(
 
 
 def test_hands_that_stand_still_give_the_same_metrics(tmp_path: Path) -> None:
-    recipe = Recipe(split="test", image_size=0)
+    recipe = Recipe.of(split="test", image_size=0)
     episodes = list(
-        evaluate(WorldBatch(recipe, 4), EXPERTS["hold"](), sample_specs(recipe, range(4)))
+        evaluate(WorldBatch(recipe.rules, 4), EXPERTS["hold"](), sample_specs(recipe, range(4)))
     )
     write_episodes(tmp_path / "d", episodes)
     assert_same(tmp_path / "d", episodes)

@@ -14,7 +14,7 @@ from lerobot.utils.import_utils import register_third_party_plugins
 
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.pretrain.recipe import read_recipe
-from dynahoi_lerobot.sampling.recipe import load_recipe
+from dynahoi_lerobot.rollout.recording import load_recording
 from tests.docs.documents import ROOT, pages
 from tests.docs.playing import Player, check_installation, prepare
 
@@ -40,7 +40,7 @@ def commands(path: Path) -> list[list[str]]:
 @pytest.mark.parametrize("path", recipes("generate", "eye"), ids=lambda path: path.stem)
 def test_a_recipe_of_training_data_is_read(path: Path):
     assert (
-        read_recipe(path).episodes if path.parent.name == "eye" else load_recipe(path)
+        read_recipe(path).episodes if path.parent.name == "eye" else load_recording(path)
     ).split == "train"
 
 

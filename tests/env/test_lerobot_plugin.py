@@ -81,7 +81,7 @@ def test_lerobots_loop_and_ours_give_the_same_rows(tmp_path: Path, monkeypatch: 
     specs = sample_specs(recipe, [row["seed"] for row in found.rows])
     ours = {
         episode.meta.seed: episode
-        for episode in evaluate(WorldBatch(recipe, len(specs)), agent, specs)
+        for episode in evaluate(WorldBatch(recipe.rules, len(specs)), agent, specs)
     }
     assert len(ours) == 2
     for row, actions in zip(found.rows, found.actions, strict=True):
@@ -240,7 +240,7 @@ def test_a_policy_with_a_queue_plays_as_with_whole_chunks(
     specs = sample_specs(recipe, sorted(row["seed"] for row in found.rows))
     expected = {
         episode.meta.seed: episode.action
-        for episode in evaluate(WorldBatch(recipe, 2), agent, specs)
+        for episode in evaluate(WorldBatch(recipe.rules, 2), agent, specs)
     }
     assert len(expected) == 2
     for row, actions in zip(found.rows, found.actions, strict=True):

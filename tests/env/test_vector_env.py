@@ -16,13 +16,17 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import vector as vector_wrappers
 from lerobot_env_dynahoi.task_env import ResultsLog, TaskEnv
 
-from dynahoi_lerobot.core.rules import is_acting
+from dynahoi_lerobot.core.episode import closure, potential
+from dynahoi_lerobot.core.protocols import is_acting
 from dynahoi_lerobot.env import DynahoiEnv, DynahoiVectorEnv, register_envs
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.motions import MOTIONS
+from dynahoi_lerobot.rollout.loop import record
+from dynahoi_lerobot.rollout.recording import Recording
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.splits import kind_seed
+from dynahoi_lerobot.world.batch import WorldBatch
 
 SMALL = {"image_size": 16}
 BLIND = SMALL | {"image_size": 0}
@@ -64,8 +68,13 @@ def test_a_catch_ends_the_episode_with_reward_success_and_every_metric() -> None
     assert terminated.sum(axis=0).tolist() == [1, 1]
     for world in range(2):
         step = int(terminated[:, world].argmax())
-        _, reward, _, truncated, info = results[step]
-        assert (reward[world], truncated[world], info["is_success"][world]) == (1.0, False, True)
+        *_, truncated, info = results[step]
+        assert (truncated[world], info["is_success"][world]) == (False, True)
+        rewards = [result[1][world] for result in results[: step + 1]]
+        (won,) = np.flatnonzero(rewards)
+        assert rewards[won] == 1.0
+        successes = [result[4]["is_success"][world] for result in results[: step + 1]]
+        assert successes.index(True) == won
         assert {name for name in METRICS.names() if not np.isnan(info[name][world])} >= {
             "S_loc",
             "S_gra",
@@ -236,18 +245,26 @@ def test_bad_actions_are_refused_and_nothing_moves() -> None:
         np.testing.assert_array_equal(env._batch._batch.state, before)
 
 
+def promise(batch: WorldBatch) -> np.ndarray:
+    """(N,) what the dense reward is the change of."""
+    distance_m = np.linalg.norm(batch.target_pose[:, :3] - batch.state[:, :3], axis=1)
+    opened = np.stack([spec.open_joints for spec in batch.specs])
+    reference = np.stack([spec.reference_joints for spec in batch.specs])
+    return potential(distance_m, closure(batch.state[:, 3:], opened, reference))
+
+
 def played(
     env: DynahoiVectorEnv, *, expert: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Play one episode a world; return rewards, whether it acts and distances [m] (T, N) each, and
+    """Play one episode a world; return rewards, whether it acts and potentials (T, N) each, and
     successes (N,).
     """
     observation, _ = env.reset(seed=0, options={"lerobot_new_rollout": True})
-    batch, rewards, phases, distances = env._batch, [], [], []
+    batch, rewards, phases, potentials = env._batch, [], [], []
     ended, success = np.zeros(env.num_envs, bool), np.zeros(env.num_envs, bool)
     while not ended.all():
         phases.append(is_acting(observation["phase"]))
-        distances.append(np.linalg.norm(batch.target_pose[:, :3] - batch.state[:, :3], axis=1))
+        potentials.append(promise(batch))
         command = observation["agent_pos"]
         if expert:
             command = Intercept().act(batch.world_state(batch.observe(images=False)))
@@ -255,22 +272,45 @@ def played(
         rewards.append(np.where(ended, 0.0, reward))
         success |= info["is_success"]
         ended |= terminated | truncated
-    distances.append(np.linalg.norm(batch.target_pose[:, :3] - batch.state[:, :3], axis=1))
-    return np.array(rewards), np.array(phases), np.array(distances), success
+    potentials.append(promise(batch))
+    return np.array(rewards), np.array(phases), np.array(potentials), success
 
 
 @pytest.mark.parametrize("expert", [True, False])
-def test_the_sum_is_how_much_closer_the_palm_came_in_units_of_a_decimetre_and_the_success(
-    expert: bool,
-):
+def test_the_sum_is_the_change_of_the_potential_and_the_success(expert: bool):
     env = DynahoiVectorEnv(2, kind="constant", reward="dense", image_size=0, threads=1)
-    rewards, phases, distances, success = played(env, expert=expert)
+    rewards, phases, potentials, success = played(env, expert=expert)
     assert (rewards[~phases] == 0).all(), "nothing can be done in the observation window"
     first = phases.argmax(axis=0)
     for world in range(2):
-        came_m = distances[first[world], world] - distances[-1, world]
-        assert rewards[:, world].sum() == pytest.approx(came_m / 0.1 + success[world], abs=0.05)
+        gained = potentials[-1, world] - potentials[first[world], world]
+        assert rewards[:, world].sum() == pytest.approx(gained + success[world], abs=0.05)
     assert success.tolist() == [expert, expert]
+
+
+@pytest.mark.parametrize("capture", ["attach", "contact"])
+def test_a_recording_holds_the_dense_reward_of_the_environment(capture: str):
+    recording = Recording.of(split="test", capture=capture, image_size=0)
+    (episode,) = record(recording, [3])
+    env = DynahoiEnv(recipe=recording.recipe, reward="dense")
+    env.reset(seed=3)
+    rewards = np.array([env.step(action)[1] for action in episode.given_action])
+    won = episode.succeeded.argmax()
+    assert rewards[won + 1] > 0.9, "of the first step that begins in a frame of success"
+    rewards[won + 1] -= 1
+    rewards[won] += 1
+    np.testing.assert_allclose(rewards[:-1], episode.reward[:-1], atol=1e-5)
+
+
+def test_closing_further_near_the_target_is_worth_more_until_the_grasp_is_one():
+    opened, reference = np.zeros(15), np.full(15, 1.0)
+    shares = np.array([0.0, 0.4, 0.8, 0.9, 1.2, 1.5])
+    near = potential(np.full(6, 0.01), closure(shares[:, None] * reference, opened, reference))
+    assert (np.diff(near)[:3] > 0.05).all()
+    assert near[3] == near[4] > near[5]
+    far = potential(np.full(6, 1.0), closure(shares[:, None] * reference, opened, reference))
+    assert np.ptp(far) < 1e-3 < np.ptp(near), "far away a fist earns nothing"
+    assert potential(np.zeros(1), np.ones(1)) == 1.0
 
 
 OPTIONS: dict[str, Any] = {
@@ -311,7 +351,7 @@ def test_a_copy_plays_what_the_original_plays(make: Callable, copied: Callable) 
 
 def test_a_copy_of_lerobots_task_reports_to_a_log_of_the_same_folder(tmp_path: Path) -> None:
     env = TaskEnv(
-        1, on_episode=ResultsLog(tmp_path, Recipe(split="test", image_size=16)), **OPTIONS
+        1, on_episode=ResultsLog(tmp_path, Recipe.of(split="test", image_size=16)), **OPTIONS
     )
     twin = copy.deepcopy(env)
     assert (twin._on_episode._results.folder, twin.kind, twin.num_envs) == (tmp_path, "lob", 1)
@@ -345,8 +385,8 @@ def test_seeds_are_whole_numbers_below_two_to_the_forty_one_for_each_world() -> 
 
 def test_options_are_fields_of_a_recipe_and_unknown_ones_are_refused() -> None:
     env = DynahoiVectorEnv(
-        1, recipe=Recipe(split="val", image_size=0), control_class="late", views=["side"]
+        1, recipe=Recipe.of(split="val", image_size=0), control_class="late", views=["side"]
     )
-    assert env.recipe == Recipe(split="val", image_size=0, control_class="late", views=("side",))
+    assert env.recipe == Recipe.of(split="val", image_size=0, control_class="late", views=("side",))
     with pytest.raises(ValueError, match="colour"):
         DynahoiEnv(colour="red")

@@ -239,10 +239,10 @@ def test_a_checkpoint_plays_under_the_rules_it_was_trained_for(checkpoint, tmp_p
         results.info.extra["weights"][WEIGHTS]
         == hashlib.sha256((checkpoint / WEIGHTS).read_bytes()).hexdigest()
     )
-    recipe = results.recipe()
+    recipe = results.recipe().rules
     assert (recipe.capture, recipe.control_class, recipe.image_size) == ("contact", "late", 32)
     assert cli.main([*words, "--out", str(tmp_path / "told"), "--control-class", "unlimited"]) == 0
-    assert read_results(tmp_path / "told").recipe().control_class == "unlimited"
+    assert read_results(tmp_path / "told").recipe().rules.control_class == "unlimited"
 
 
 @pytest.mark.parametrize("env", [None, {"type": "dynahoi", "control_class": "standard"}])
@@ -250,13 +250,15 @@ def test_the_dataset_tells_what_a_checkpoint_was_trained_for(
     env, checkpoint: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "data" / "meta").mkdir(parents=True)
-    recipe = {"capture": "contact", "control_class": "late", "protocol": "direct_act"}
-    Manifest(0, 0, {}, provenance={"recipe": recipe}).write(tmp_path / "data")
+    rules = {"capture": "contact", "control_class": "late", "protocol": "direct_act"}
+    recording = {"recipe": {"rules": rules}}
+    Manifest(0, 0, {}, provenance={"recording": recording}).write(tmp_path / "data")
     edit_json(
         checkpoint / "train_config.json",
         lambda c: c.update(env=env, dataset={"root": str(tmp_path / "data")}),
     )
-    assert trained_for(checkpoint) == recipe | {"image_size": 32}
+    seen = {"image_size": 32, "views": (), "environment_state": ""}
+    assert trained_for(checkpoint) == rules | seen
     camera = {"observation.images.ego_motion": {"type": "VISUAL", "shape": [3, 64, 64]}}
     edit_json(checkpoint / "config.json", lambda c: c.update(input_features=camera))
     assert trained_for(checkpoint)["image_size"] == 64, "of any camera"

@@ -107,7 +107,7 @@ def test_what_is_played_by_another_control_mode_is_stored_as_a_word(tmp_path: Pa
     words = [*HOLD, "--control-mode", "grasp", "--image-size", "0", "--out", str(out)]
     assert main(words) == 0
     head = json.loads((out / "metrics.json").read_text())
-    assert head["extra"]["recipe"]["control_mode"] == "grasp"
+    assert head["recipe"]["rules"]["control_mode"] == "grasp"
     assert main(["evaluate", "--replay", str(out)]) == 0
 
 

@@ -19,11 +19,11 @@ from dynahoi_lerobot.evaluate.compare import (
     paired_values,
     sign_flip,
 )
-from dynahoi_lerobot.evaluate.results import Results, RunInfo
-from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.evaluate.results import Results
+from dynahoi_lerobot.sampling.recipe import COMPARED
+from tests.synthetic import run_info
 
 IDENTITY = {"split": "test", "kind": "lob", "object": "ball", "length_frames": 40}
-RULES = {"protocol": "observe_before_act", "control_class": "standard"}
 
 
 def results(
@@ -32,17 +32,12 @@ def results(
     """Results with one row a value; ``changes`` go into the rows, or where the condition of that
     name is.
     """
-    recipe = {
-        "render_noise": changes.pop("render_noise", 0),
-        "path_speed": changes.pop("path_speed", 1.0),
-    }
-    extra = {"inference": changes.pop("inference", ""), "recipe": recipe}
-    benchmark, capture = (
-        changes.pop("benchmark", BENCHMARK.version),
-        changes.pop("capture", "attach"),
-    )
-    info = RunInfo("p", changes.pop("stream", "test"), capture, "cmd", "f", extra, benchmark)
-    base = {**IDENTITY, **RULES, "window_frames": 8, **changes}
+    told = {name: changes.pop(name) for name in (*COMPARED, "benchmark") if name in changes}
+    extra = {"inference": changes.pop("inference", "")}
+    if "path_speed" in told:
+        told["split"] = "twins"
+    info = run_info("p", extra=extra, salt=changes.pop("salt", ""), **told)
+    base = {**IDENTITY, "window_frames": 8, **changes}
     rows = tuple({**base, "seed": first_seed + i, metric: value} for i, value in enumerate(values))
     return Results(Path(folder), info, rows, tuple(np.zeros((12, 18), np.float32) for _ in rows))
 

@@ -86,7 +86,7 @@ FORGERIES: list[tuple[Callable[[Path], None], str]] = [
     (more_attempts, "seed {0} took 3 attempts"),
     (longer_logs, "an evaluation with them"),
     (another_version, "are of version v9"),
-    (set_head(fingerprint="0123456789abcdef"), "0123456789abcdef"),
+    (set_head(code="0123456789abcdef"), "0123456789abcdef"),
     (set_head(split="val"), "names split val"),
 ]
 """What is done to a result, and what is found; ``{i}`` stands for the seed of row i."""

@@ -20,7 +20,6 @@ from dynahoi_lerobot.evaluate.replay_results import check_results
 from dynahoi_lerobot.evaluate.results import (
     SCHEMA,
     Results,
-    RunInfo,
     command_line,
     kept_results,
     read_results,
@@ -28,20 +27,13 @@ from dynahoi_lerobot.evaluate.results import (
 from dynahoi_lerobot.evaluate.summary import wilson
 from dynahoi_lerobot.evaluate.table import columns_for
 from dynahoi_lerobot.metrics import METRICS, Metric
-from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK_ID
 from dynahoi_lerobot.sampling.recipe import Recipe
 from tests.evaluate.test_replay_results import set_head
-from tests.synthetic import synthetic_episode, write_results
+from tests.synthetic import run_info, synthetic_episode, write_results
 from tests.tools import edit_json
 
-RUN = {
-    "policy": "reach",
-    "split": "test",
-    "capture": "attach",
-    "command": "dynahoi evaluate",
-    "fingerprint": "f1",
-}
-INFO = RunInfo(**RUN, extra={"n_obs_frames": 5})
+INFO = run_info(extra={"n_obs_frames": 5})
 
 
 EMPTY = {"value": None, "low": None, "high": None, "unit": "fraction", "n": 0}
@@ -64,10 +56,7 @@ def folder(tmp_path: Path) -> Path:
 
 def test_the_files_are_as_documented(folder: Path):
     head = json.loads((folder / "metrics.json").read_text())
-    assert (
-        head.items()
-        >= {**RUN, "benchmark": BENCHMARK.version, "n": 6, "extra": {"n_obs_frames": 5}}.items()
-    )
+    assert head.items() >= {**vars(run_info()), "n": 6, "extra": {"n_obs_frames": 5}}.items()
     assert set(head["metrics"]) == set(METRICS.names())
     low, high = wilson(4, 6)
     expected = {"value": pytest.approx(4 / 6), "low": low, "high": high, "unit": "fraction", "n": 6}
@@ -92,7 +81,7 @@ def test_the_files_are_as_documented(folder: Path):
 
 
 def save(folder: Path, count: int) -> None:
-    write_results(folder, episodes(count), RunInfo(**RUN))
+    write_results(folder, episodes(count), run_info())
 
 
 @pytest.mark.parametrize("renamed", [0, 1, 2, 3])
@@ -169,7 +158,7 @@ def test_metrics_that_do_not_apply_are_null(tmp_path: Path):
         replace(episode, meta=replace(episode.meta, capture="contact")) for episode in episodes(3)
     ]
     folder = tmp_path / "contact"
-    write_results(folder, contact, RunInfo(**RUN | {"capture": "contact"}))
+    write_results(folder, contact, run_info(capture="contact"))
     head = json.loads((folder / "metrics.json").read_text())
     table = pq.read_table(folder / "episodes.parquet")
     for name in ("S_joint", "S_joint_paper", "S_gra", "grasp_strict"):
@@ -269,7 +258,7 @@ def test_new_keys_and_columns_change_nothing(folder: Path):
 
 def test_weights_of_an_adapter_and_of_its_base_fit(tmp_path: Path):
     weights = {"adapter_model.safetensors": "a" * 64, "base/model.safetensors": "b" * 64}
-    info = RunInfo(**RUN, extra={"weights": weights})
+    info = run_info(extra={"weights": weights})
     write_results(tmp_path, episodes(), info)
     assert read_results(tmp_path).info.extra["weights"] == weights
     other = replace(info, extra={"weights": weights | {"base/model.safetensors": "c" * 64}})
@@ -322,7 +311,7 @@ DAMAGE: list[tuple[Callable[[Path], None], str]] = [
     (set_head(n=0), "disagree"),
     (repeat, "12000 episodes"),
     (set_head(n="4"), "n must be of type int, got '4'"),
-    (set_head(benchmark="v0"), f"episodes of benchmark 'v0' and '{BENCHMARK.version}'"),
+    (set_head(benchmark="v0"), f"episodes of benchmark 'v0' and '{BENCHMARK_ID}'"),
     (set_column("stage", [0] * 6), "its column stage"),
     (set_column("S_loc", ["a"] * 6), "its column S_loc"),
     (

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.evaluate.results import Results, RunInfo
+from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.evaluate.rows import STRATA, episode_row
 from dynahoi_lerobot.evaluate.summary import Estimate, bootstrap, bootstrap_means, wilson
 from dynahoi_lerobot.evaluate.table import (
@@ -17,7 +17,7 @@ from dynahoi_lerobot.evaluate.table import (
     results_table,
 )
 from dynahoi_lerobot.motions.base import CATEGORIES
-from tests.synthetic import synthetic_episode
+from tests.synthetic import run_info, synthetic_episode
 
 EPISODE = synthetic_episode(image_size=None)
 
@@ -114,7 +114,7 @@ def results(policy: str = "reach", capture: str = "attach") -> Results:
         episode = synthetic_episode(seed, image_size=None, miss_m=0.05 * (seed == 0))
         meta = replace(episode.meta, capture=capture, motion=("constant", "lob")[seed % 2])
         rows.append(episode_row(replace(episode, meta=meta)))
-    return Results(Path("run"), RunInfo(policy, "test", capture, "cmd", "f"), tuple(rows), ())
+    return Results(Path("run"), run_info(policy, capture=capture), tuple(rows), ())
 
 
 def test_numbers_are_printed_in_the_papers_units():
@@ -165,8 +165,7 @@ def skilled(values: list[float], metric: str = "S_loc", first: int = 0) -> Resul
         episode_row(replace(episode, meta=replace(episode.meta, seed=first + i))) | {metric: value}
         for i, value in enumerate(values)
     ]
-    info = RunInfo("p", "test", "attach", "cmd", "f")
-    return Results(Path("run"), info, tuple(rows), ())
+    return Results(Path("run"), run_info("p"), tuple(rows), ())
 
 
 def bold(*results: Results, metric: str = "S_loc") -> list[bool]:

@@ -8,7 +8,7 @@ from dynahoi_lerobot.core.arguments import add_options, read_options
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.generate import command
 from tests.generate import recorder
-from tests.generate.recorder import FakeRecipe
+from tests.generate.recorder import FakeRecording
 
 
 def run(*words, record=recorder.record) -> int:
@@ -18,7 +18,7 @@ def run(*words, record=recorder.record) -> int:
         command.Options, vars(parser.parse_args(["--episodes", "4", *map(str, words)]))
     )
     return exit_code(
-        "dynahoi generate", lambda: command.run(options, record=record, recipe=FakeRecipe())
+        "dynahoi generate", lambda: command.run(options, record=record, recording=FakeRecording())
     )
 
 

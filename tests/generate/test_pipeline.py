@@ -19,13 +19,13 @@ from dynahoi_lerobot.generate.plan import GenerationPlan, ShardMaker
 from dynahoi_lerobot.sampling.splits import MAX_DRAWS, REDRAW_STRIDE
 from tests.dataset.episodes import sign
 from tests.generate import recorder
-from tests.generate.recorder import PLAN, FakeRecipe
+from tests.generate.recorder import PLAN, FakeRecording
 from tests.generate.test_command import run
 from tests.tools import flip_byte
 
 
-def plan(episodes: int = 10, seed: int = 0, shard_episodes: int = 3, **recipe) -> GenerationPlan:
-    return GenerationPlan(FakeRecipe(**recipe), episodes, seed, shard_episodes=shard_episodes)
+def plan(episodes: int = 10, seed: int = 0, shard_episodes: int = 3, **recording) -> GenerationPlan:
+    return GenerationPlan(FakeRecording(**recording), episodes, seed, shard_episodes=shard_episodes)
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def test_slots_follow_the_seed(reference):
     manifest = Manifest.read(reference)
     assert manifest.seeds == list(range(10))
     assert manifest.yields == {"tried": 10, "kept": 10, "failed": 0, "missed": 0, "rejected": 0}
-    assert manifest.provenance["recipe"] == json.loads(json.dumps(FakeRecipe().stored()))
+    assert manifest.provenance["recording"] == json.loads(json.dumps(FakeRecording().stored()))
     assert not workspace_path(reference).exists()
     assert plan(episodes=10, seed=5).slots(3) == range(14, 15)
 
@@ -142,7 +142,7 @@ def exchange_shards(workspace: Path) -> None:
 
 def take_from_another_plan(workspace: Path) -> None:
     """Put a shard of the same seeds and another recipe into the place of ours."""
-    other_plan = dataclasses.replace(PLAN, recipe=FakeRecipe(name="other"))
+    other_plan = dataclasses.replace(PLAN, recording=FakeRecording(name="other"))
     with open_workspace(other_plan, workspace.parent / "other") as other:
         ShardMaker(other_plan, other, recorder.record).make(1)
     shutil.rmtree(workspace / "shard-000001")

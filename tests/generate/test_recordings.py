@@ -13,7 +13,7 @@ from dynahoi_lerobot.dataset import open_dataset, read_episodes
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationPlan
 from dynahoi_lerobot.rollout.loop import record
-from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.rollout.recording import Recording
 from dynahoi_lerobot.verify.command import verify
 from tests.tools import generated
 
@@ -49,9 +49,9 @@ VIEWS = ("side", "ego_depth", "ego_segmentation")
 
 
 def test_further_views_are_stored_read_and_replayed(tmp_path):
-    recipe = Recipe(motions=("constant", "struck"), image_size=48, views=VIEWS)
+    recording = Recording.of(motions=("constant", "struck"), image_size=48, views=VIEWS)
     generate(
-        GenerationPlan(recipe, 2, shard_episodes=1), tmp_path / "d", record=record
+        GenerationPlan(recording, 2, shard_episodes=1), tmp_path / "d", record=record
     )  # two shards, merged
     assert verify(tmp_path / "d", replayed=2) == []
     for episode in read_episodes(tmp_path / "d"):
@@ -65,10 +65,12 @@ def test_further_views_are_stored_read_and_replayed(tmp_path):
 def test_failures_are_kept_in_their_place_and_marked(tmp_path):
     """A pursuer is too slow for some of them."""
     motions = ("constant", "lob", "depth", "planar")
-    recipe = Recipe(
+    recording = Recording.of(
         expert="pursuit", motions=motions, image_size=16, keep_failures=True, perturbed_share=0.0
     )
-    manifest = generate(GenerationPlan(recipe, 8, shard_episodes=5), tmp_path / "d", record=record)
+    manifest = generate(
+        GenerationPlan(recording, 8, shard_episodes=5), tmp_path / "d", record=record
+    )
     assert manifest.seeds == list(range(8)), "nothing is drawn again"
     failed = int((~pd.read_parquet(tmp_path / "d/meta/episodes")["success"]).sum())
     assert 0 < failed < 8
@@ -81,10 +83,10 @@ def test_failures_are_kept_in_their_place_and_marked(tmp_path):
 
 
 def test_all_attempts_at_a_failed_episode_are_told(tmp_path):
-    recipe = Recipe(
+    recording = Recording.of(
         image_size=0, motions=("bounce", "lob"), perturbed_share=1.0, keep_failures=True
     )
-    generate(GenerationPlan(recipe, 8), tmp_path / "d", record=record)
+    generate(GenerationPlan(recording, 8), tmp_path / "d", record=record)
     attempts = (
         pd.read_parquet(tmp_path / "d/meta/episodes")["stats/attempt_success"].map(list).tolist()
     )

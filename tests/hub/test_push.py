@@ -16,11 +16,10 @@ from huggingface_hub import constants
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.checkpoint import load_policy
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError
-from dynahoi_lerobot.evaluate.results import METRICS_FILE, RunInfo
-from dynahoi_lerobot.sampling.benchmark import BENCHMARK
-from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.evaluate.results import METRICS_FILE
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK_ID
 from tests.hub.server import TOKEN, Hub, Repo, serving
-from tests.synthetic import synthetic_episode, write_results
+from tests.synthetic import run_info, synthetic_episode, write_results
 from tests.tools import generated
 
 Push = Callable[..., tuple[int, str, str]]
@@ -85,8 +84,7 @@ def write_split(
 ) -> Path:
     """Write the results of episodes that all are the same but for their seeds."""
     episode = synthetic_episode(0, image_size=None)
-    played = Recipe(split=split, **recipe).stored()
-    info = RunInfo(policy, split, "attach", command, "f", {"recipe": played} | (extra or {}))
+    info = run_info(policy, command=command, extra=extra, split=split, **recipe)
     write_results(
         folder, [replace(episode, meta=replace(episode.meta, seed=seed)) for seed in seeds], info
     )
@@ -123,7 +121,7 @@ def test_every_file_arrives_both_tags_are_set_and_pushing_again_changes_nothing(
         for path in simulated.rglob("*")
         if path.is_file()
     }
-    assert repo.tags == {"v3.0": repo.head, f"dynahoi-{BENCHMARK.version}": repo.head}
+    assert repo.tags == {"v3.0": repo.head, f"dynahoi-{BENCHMARK_ID}": repo.head}
     commits = list(repo.commits)
     hub.requests.clear()
     assert push(simulated, "me/catching", "--private")[0] == 0
@@ -280,7 +278,7 @@ def test_results_that_their_commands_do_not_lead_to_are_not_uploaded(
     checkpoint, hub, push, monkeypatch, tmp_path
 ):
     push(checkpoint, "me/policy")
-    monkeypatch.setattr(Recipe, "fingerprint", lambda _: "f")
+    monkeypatch.setattr("dynahoi_lerobot.hub.recipe_code", lambda _: "c1")
     refused(
         push(write_split(tmp_path / "results", "ood_speed", range(2)), "me/policy"),
         "was not pushed",
@@ -308,7 +306,7 @@ def test_results_need_their_checkpoint_and_must_be_whole(
     assert names(hub) == set()
 
 
-WHOLE = f"{BENCHMARK.version}_test_small_attach_standard"
+WHOLE = f"{BENCHMARK_ID}_test_small_attach_standard"
 CONDITIONS: list[tuple[dict, str]] = [
     ({}, WHOLE),
     ({"protocol": "occluded"}, f"{WHOLE}_protocol_occluded"),
@@ -410,7 +408,7 @@ def test_a_checkpoint_is_evaluated_by_its_name_and_its_results_stand_beside_it(
     assert push(results, "me/policy")[0] == 0
     files, head = hub.repos[MODEL].files, json.loads((results / METRICS_FILE).read_text())
     assert "model.safetensors" in files
-    name = f"{BENCHMARK.version}_test_small_attach_standard_image_size_96_2_episodes"
+    name = f"{BENCHMARK_ID}_test_small_attach_standard_image_size_96_2_episodes"
     assert json.loads(files[f"results/{name}/{METRICS_FILE}"]) == head
     assert push(ROOT / "checkpoints/obact_standard", "me/policy")[0] == 0, (
         "results beside it are no obstacle"

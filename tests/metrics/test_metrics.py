@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.rules import one_hot_phase
+from dynahoi_lerobot.core.protocols import one_hot_phase
 from dynahoi_lerobot.metrics import METRICS, Metric, measure
 from dynahoi_lerobot.rollout.recorder import next_frames
 from tests.recompute_metrics import linearity, smoothness

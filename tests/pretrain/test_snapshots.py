@@ -15,7 +15,7 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 
-RECIPE = Recipe(image_size=64)
+RECIPE = Recipe.of(image_size=64)
 SPECS = sample_specs(RECIPE, range(8))
 
 
@@ -28,7 +28,7 @@ def test_the_calibration_is_that_of_the_camera(tmp_path: Path, camera: str):
     pose, (focal_px, _, centre_px, _) = calibration(recipe)
     eye = Pinhole.from_pose(pose.tolist(), centre_px / focal_px, carried=camera == "ego")
     wanted = torch.tensor([[0.0, 0.0, 0.0], [-0.6, 0.5, 0.2], [0.7, 0.4, -0.4], [-0.3, 0.8, 0.5]])
-    batch = WorldBatch(RECIPE, len(wanted), threads=1)
+    batch = WorldBatch(RECIPE.rules, len(wanted), threads=1)
     batch.reset(
         np.arange(len(wanted)), sample_specs(replace(RECIPE, objects=("ball",)), range(len(wanted)))
     )
@@ -47,7 +47,7 @@ def test_the_target_is_where_they_say_fingers_move_and_some_images_come_twice(
     monkeypatch: pytest.MonkeyPatch,
 ):
     placed: list[np.ndarray] = []
-    batch = WorldBatch(RECIPE, 32, threads=1)
+    batch = WorldBatch(RECIPE.rules, 32, threads=1)
     place = WorldBatch.place
 
     def watched(self: WorldBatch, hand: np.ndarray, pose: np.ndarray) -> None:
@@ -97,7 +97,7 @@ def test_hands_take_turns(tmp_path: Path):
         images=2,
     )
     stream = ImageStream(recipe)(0)
-    worlds = [WorldBatch(replace(RECIPE, hand=hand), 2, threads=1) for hand in recipe.hands]
+    worlds = [WorldBatch(replace(RECIPE.rules, hand=hand), 2, threads=1) for hand in recipe.hands]
     rng = np.random.default_rng([recipe.seed, 0, 0])
     alone = [snapshots(batch, shown_specs(recipe, batch.recipe, range(2)), rng) for batch in worlds]
     for one in alone:

@@ -10,7 +10,7 @@ from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.env.vector_env import DynahoiVectorEnv
 from dynahoi_lerobot.renderers.views import COLORS, DEPTH_LEVEL_M, EXTRA_VIEWS
 from dynahoi_lerobot.rollout.loop import record
-from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.rollout.recording import Recording
 from dynahoi_lerobot.scene.model import LARGEST_SLOT_M
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.world.playing import world
@@ -85,9 +85,9 @@ def test_images_of_depth_and_segmentation(batch: WorldBatch) -> None:
 def test_motion_shows_the_frames_two_and_four_before_in_its_channels(
     specs: list[EpisodeSpec],
 ) -> None:
-    recipe = Recipe(split=specs[0].split, image_size=32, views=("ego_motion",))
+    recording = Recording.of(split=specs[0].split, image_size=32, views=("ego_motion",))
     one, *_ = episodes = list(
-        record(recipe, [specs[0].seed, specs[1].seed, specs[2].seed], batch_size=2)
+        record(recording, [specs[0].seed, specs[1].seed, specs[2].seed], batch_size=2)
     )
     luminance = [0.299, 0.587, 0.114]
     for episode in episodes:
@@ -96,7 +96,7 @@ def test_motion_shows_the_frames_two_and_four_before_in_its_channels(
             seen = episode.images["ego_motion"][..., channel]
             then = np.maximum(np.arange(len(episode)) - before, 0)
             assert np.abs(seen - grey[then]).max() <= 1.0
-    (alone,) = record(recipe, [one.meta.seed], batch_size=1)
+    (alone,) = record(recording, [one.meta.seed], batch_size=1)
     np.testing.assert_array_equal(alone.images["ego_motion"], one.images["ego_motion"])
     env = DynahoiVectorEnv(1, image_size=32, views=("ego_motion",))
     assert env.reset(seed=0)[0]["pixels"]["ego_motion"].shape == (1, 32, 32, 3)

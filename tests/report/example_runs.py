@@ -3,14 +3,15 @@
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.evaluate.results import Results, RunInfo
+from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.motions import MOTIONS
-from dynahoi_lerobot.sampling.benchmark import BENCHMARK
-from tests.synthetic import synthetic_episode, write_results
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK_ID
+from tests.synthetic import run_info, synthetic_episode, write_results
 
 PAIRS = [(motion.category, kind) for kind, motion in MOTIONS.items()]
 LENGTHS = (32, 48, 52, 70, 96, 130)
@@ -58,14 +59,14 @@ def example_run(
     count: int = 44,
     *,
     capture: str = "attach",
-    benchmark: str = BENCHMARK.version,
+    benchmark: str = BENCHMARK_ID,
     command: str = "",
-    rules: dict[str, str] | None = None,
+    recipe: dict[str, Any] | None = None,
     **extra: object,
 ) -> Results:
-    """Write the result folder of a made-up policy; ``rules`` are changes of ``EpisodeMeta``."""
+    """Write the result folder of a made-up policy; ``recipe`` are fields of recipe and rules."""
     command = command or f"dynahoi evaluate --policy {policy} --split test_small"
-    info = RunInfo(policy, "test_small", capture, command, "f00dcafe", extra, benchmark)
-    return write_results(
-        folder, play(count, skill, capture, benchmark=benchmark, **(rules or {})), info
-    )
+    told = {"split": "test_small", "capture": capture} | (recipe or {})
+    info = run_info(policy, command=command, benchmark=benchmark, extra=extra, **told)
+    shown = {name: told[name] for name in ("protocol", "control_class") if name in told}
+    return write_results(folder, play(count, skill, capture, benchmark=benchmark, **shown), info)

@@ -92,7 +92,7 @@ def test_a_comment_says_which_seeds_and_versions(entries: list[Entry], tmp_path:
         for entry in entries:
             (line,) = [line for line in comment if line.startswith(f"{mark}{entry.label}: ")]
             info = entry.results.info
-            told = f"seeds 0-{len(entry.results.rows) - 1}", info.benchmark, info.fingerprint
+            told = f"seeds 0-{len(entry.results.rows) - 1}", info.benchmark, info.code
             assert all(word in line for word in told)
     assert ranges([5, 0, 1, 2, 9, 8]) == "0-2, 5, 8-9"
 

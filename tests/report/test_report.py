@@ -15,7 +15,7 @@ import pytest
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.reading import LeftOut
 from dynahoi_lerobot.evaluate.gif import write_gif
-from dynahoi_lerobot.evaluate.results import Results, RunInfo, read_results
+from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.evaluate.table import Table, category_table, columns_for, metric_cell
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.report import figures, page, render_report
@@ -29,6 +29,7 @@ from dynahoi_lerobot.report.entries import (
 )
 from dynahoi_lerobot.report.page import clips_of, comparison_tables, page_content
 from tests.report.example_runs import example_run
+from tests.synthetic import run_info
 from tests.tools import edit_json
 
 HOSTILE = (
@@ -85,8 +86,8 @@ def odd(runs: Path) -> list[Entry]:
 
 
 def named(policy: str, folder: str = "run", **extra: object) -> Results:
-    rows = ({"protocol": "observe_before_act", "control_class": "standard"},)
-    return Results(Path(folder), RunInfo(policy, "test", "attach", "cmd", "f", extra), rows, ())
+    recipe = extra.pop("recipe", {})
+    return Results(Path(folder), run_info(policy, extra=extra, **recipe), (), ())
 
 
 @pytest.mark.parametrize(
@@ -384,7 +385,7 @@ def test_a_page_holds_everything_and_loads_nothing(runs: Path, monkeypatch: pyte
 def test_a_page_shows_words_and_no_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(figures, "FIGURES", [])
     told = {
-        "recipe": {"views": ["side", "top"], "salt": "", "hand": {"name": "capsule"}, "noise": 0},
+        "notes": {"views": ["side", "top"], "salt": "", "hand": {"name": "capsule"}, "noise": 0},
         "settings": ["n_action_steps=2"],
         "privileged": True,
         "weights": None,

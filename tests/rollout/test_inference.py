@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.core.agent import ChunkAgent, Observation
-from dynahoi_lerobot.core.rules import one_hot_phase
+from dynahoi_lerobot.core.protocols import one_hot_phase
 from dynahoi_lerobot.rollout.inference import (
     Inference,
     QueuedPolicy,

@@ -6,19 +6,21 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.core.agent import Agent, Expert, Observation, WorldState
+from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.rollout.loop import ActionLog, evaluate, play, record, replay
 from dynahoi_lerobot.rollout.recorder import Job
+from dynahoi_lerobot.rollout.recording import Recording
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.world.playing import digest
 
-QUICK = Recipe(split="val", motions=("constant", "bounce", "lateral"), image_size=0)
-SEEING = replace(QUICK, image_size=32)
+QUICK = Recipe.of(split="val", motions=("constant", "bounce", "lateral"), image_size=0)
+SEEING = changed(QUICK, {"image_size": 32})
 SEEDS = (0, 1, 2, 5, 4, 10)
 
 
@@ -62,15 +64,15 @@ class Remembering(Agent):
 
 
 @pytest.fixture
-def clumsy(monkeypatch: pytest.MonkeyPatch) -> Recipe:
+def clumsy(monkeypatch: pytest.MonkeyPatch) -> Recording:
     EXPERTS.names()  # so that the registry is complete before one is added
     monkeypatch.setitem(EXPERTS._entries, "clumsy", Clumsy)
-    return Recipe(split=QUICK.split, motions=QUICK.motions, image_size=0, expert="clumsy")
+    return Recording(QUICK, expert="clumsy")
 
 
 @pytest.mark.parametrize("batch_size", [3, 32])
 def test_failed_attempts_are_retried_and_successes_come_in_the_order_of_the_seeds(
-    clumsy: Recipe, batch_size: int
+    clumsy: Recording, batch_size: int
 ):
     episodes = list(record(clumsy, SEEDS, batch_size=batch_size, threads=1))
     assert [(e.meta.seed, e.meta.attempts) for e in episodes] == [
@@ -84,15 +86,15 @@ def test_failed_attempts_are_retried_and_successes_come_in_the_order_of_the_seed
 
 
 def test_recordings_are_the_same_whatever_the_batch():
-    one_by_one = record(QUICK, range(6), batch_size=1, threads=1)
-    together = record(QUICK, range(6), batch_size=4, threads=2)
+    one_by_one = record(Recording(QUICK), range(6), batch_size=1, threads=1)
+    together = record(Recording(QUICK), range(6), batch_size=4, threads=2)
     recordings = [[digest(episode) for episode in episodes] for episodes in (one_by_one, together)]
     assert recordings[0] == recordings[1]
     assert len(recordings[0]) == 6
 
 
 def test_recordings_end_soon_after_the_catch_and_have_images():
-    for episode in record(SEEING, range(3), threads=1):
+    for episode in record(Recording(SEEING), range(3), threads=1):
         assert episode.localized.sum() == 11
         assert list(episode.images) == ["ego"]
         assert episode.images["ego"].shape == (len(episode), 32, 32, 3)
@@ -101,10 +103,10 @@ def test_recordings_end_soon_after_the_catch_and_have_images():
 
 @pytest.mark.parametrize("capture", ["attach", "contact"])
 def test_a_recording_plays_again_from_the_commands_given(capture: str):
-    recipe = Recipe(capture=capture, image_size=0, perturbed_share=1.0)
-    for episode in record(recipe, range(4), threads=1):
+    pushed = Recording.of(capture=capture, image_size=0, perturbed_share=1.0)
+    for episode in record(pushed, range(4), threads=1):
         log = ActionLog(episode.meta.seed, episode.given_action, episode.meta.attempts)
-        (again,) = replay(recipe, [log], images=False)
+        (again,) = replay(pushed.recipe, [log], images=False)
         np.testing.assert_allclose(again.state, episode.state, atol=1e-6)
         assert capture == "contact" or np.abs(episode.action - episode.given_action).max() > 0.01
 
@@ -113,7 +115,7 @@ def test_an_agent_is_reset_before_each_group_and_sees_it_from_its_first_frame(
     specs: list[EpisodeSpec],
 ):
     agent = Remembering()
-    batch = WorldBatch(QUICK, 3, threads=1)
+    batch = WorldBatch(QUICK.rules, 3, threads=1)
     jobs = (
         Job(i, spec, frames)
         for i, (spec, frames) in enumerate(zip(specs, (12, 10, 14, 9, 11), strict=False))
@@ -138,7 +140,7 @@ def test_an_agent_is_shown_observations_and_nothing_else(
     specs: list[EpisodeSpec], sees_images: bool
 ):
     agent = Remembering(sees_images=sees_images)
-    episodes = list(evaluate(WorldBatch(SEEING, 2, threads=1), agent, specs[:2]))
+    episodes = list(evaluate(WorldBatch(SEEING.rules, 2, threads=1), agent, specs[:2]))
     for shown in agent.shown[0]:
         assert type(shown) is Observation
         assert shown.state.shape == (2, 18)
@@ -150,7 +152,7 @@ def test_an_agent_is_shown_observations_and_nothing_else(
 
 
 def test_an_agent_cannot_change_the_world_through_what_it_is_shown(specs: list[EpisodeSpec]):
-    batch = WorldBatch(SEEING, 1, threads=1)
+    batch = WorldBatch(SEEING.rules, 1, threads=1)
     batch.reset([0], specs[:1])
     before = batch._batch.state.copy()
     observation = batch.observe(images=True)
@@ -163,9 +165,9 @@ def test_an_agent_cannot_change_the_world_through_what_it_is_shown(specs: list[E
 @pytest.mark.parametrize(("spare", "localized"), [(0, True), (-1, False)])
 def test_the_outcome_of_the_last_of_l_steps_counts(spare: int, localized: bool):
     spec = sample_specs(QUICK, SEEDS[:1])[0]
-    (first,) = evaluate(WorldBatch(QUICK, 1), Intercept(), [spec])
+    (first,) = evaluate(WorldBatch(QUICK.rules, 1), Intercept(), [spec])
     short = replace(spec, length_frames=first.first_localized - spec.window_frames + spare)
-    (episode,) = evaluate(WorldBatch(QUICK, 1), Intercept(), [short])
+    (episode,) = evaluate(WorldBatch(QUICK.rules, 1), Intercept(), [short])
     assert METRICS["S_loc"](episode) == float(localized)
     assert METRICS["R_time"](episode) == 0.0, "the last moment is no better than never"
     assert len(episode) == short.window_frames + short.length_frames + 1
@@ -175,4 +177,8 @@ def test_the_outcome_of_the_last_of_l_steps_counts(spare: int, localized: bool):
 
 def test_who_needs_images_is_not_played_without_a_camera(specs: list[EpisodeSpec]):
     with pytest.raises(ValueError, match="'remembering' needs images"):
-        next(evaluate(WorldBatch(QUICK, 1, threads=1), Remembering(sees_images=True), specs[:1]))
+        next(
+            evaluate(
+                WorldBatch(QUICK.rules, 1, threads=1), Remembering(sees_images=True), specs[:1]
+            )
+        )

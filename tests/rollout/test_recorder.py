@@ -7,12 +7,12 @@ import pytest
 from dynahoi_lerobot.core.conventions import CONTROL_DT, EGO_VIEW
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.numerics import quat_to_matrix
-from dynahoi_lerobot.core.rules import CONTROL_CLASSES
+from dynahoi_lerobot.core.protocols import CONTROL_CLASSES
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.objects.primitives import from_table
 from dynahoi_lerobot.rollout.recorder import camera_pose, episode_constants
-from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.rules import Rules
 from dynahoi_lerobot.scene.model import SIDE_CAMERA
 from dynahoi_lerobot.scene.scene import compile_scene
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -52,7 +52,7 @@ def test_camera_poses_follow_from_the_palm_by_a_fixed_transform(
 
 
 def test_the_object_is_the_one_that_is_simulated(specs: list[EpisodeSpec]):
-    batch = WorldBatch(Recipe(), len(specs))
+    batch = WorldBatch(Rules(), len(specs))
     batch.reset(range(len(specs)), specs)
     fields, scene = batch._fields.fields, batch.scene
     for i, spec in enumerate(specs):

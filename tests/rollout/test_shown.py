@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from itertools import batched
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,11 +11,12 @@ from dynahoi_lerobot.core.agent import Agent, Observation
 from dynahoi_lerobot.core.conventions import DETECTOR_IMAGE_SIZE_PX
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATES
-from dynahoi_lerobot.core.rules import CONTROL_CLASSES, PROTOCOLS
+from dynahoi_lerobot.core.protocols import CONTROL_CLASSES, PROTOCOLS
 from dynahoi_lerobot.env import DynahoiVectorEnv
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.renderers.views import EXTRA_VIEWS, OPTIONAL_VIEWS
 from dynahoi_lerobot.rollout.loop import record, record_on_policy
+from dynahoi_lerobot.rollout.recording import Recording
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 
@@ -46,27 +48,27 @@ def differing(recipe: Recipe, episodes: Iterable[Episode]) -> list[str]:
     return found
 
 
-def recipe_of(split: str, **rules: object) -> Recipe:
-    return Recipe(split=split).changed(**{"image_size": 32, "perturbed_share": 1.0} | rules)
+def recording_of(split: str, **values: Any) -> Recording:
+    return Recording.of(**{"split": split, "image_size": 32, "perturbed_share": 1.0} | values)
 
 
-def recorded(recipe: Recipe) -> list[Episode]:
-    return list(record(recipe, range(len(recipe.motion_names))))
+def recorded(recording: Recording) -> list[Episode]:
+    return list(record(recording, range(len(recording.recipe.motion_names))))
 
 
 @pytest.mark.parametrize("capture", ["attach", "contact"])
 @pytest.mark.parametrize("split", SPLITS)
 def test_recordings_of_the_expert_show_what_the_environment_shows(split: str, capture: str):
-    recipe = recipe_of(split, capture=capture, views=EXTRA_VIEWS)
-    episodes = recorded(recipe)
+    recording = recording_of(split, capture=capture, views=EXTRA_VIEWS)
+    episodes = recorded(recording)
     assert {episode.meta.motion for episode in episodes} == set(BENCHMARK.splits[split].motions)
     assert split == "ood_motion" or max(episode.meta.attempts for episode in episodes) > 1
-    assert not differing(recipe, episodes)
+    assert not differing(recording.recipe, episodes)
 
 
 def test_every_view_at_once_shows_what_the_environment_shows():
-    recipe = recipe_of("val", views=OPTIONAL_VIEWS, motions=("planar", "conical", "bounce"))
-    assert not differing(recipe, recorded(recipe))
+    recording = recording_of("val", views=OPTIONAL_VIEWS, motions=("planar", "conical", "bounce"))
+    assert not differing(recording.recipe, recorded(recording))
 
 
 class Wanderer(Agent):
@@ -83,11 +85,11 @@ class Wanderer(Agent):
 
 @pytest.mark.parametrize("sees_images", [False, True])
 def test_recordings_of_a_policy_show_what_the_environment_shows(sees_images: bool):
-    recipe = recipe_of("val", actor="wanderer@0123456789abcdef", motions=("damped", "lob"))
+    recording = recording_of("val", actor="wanderer@0123456789abcdef", motions=("damped", "lob"))
     made = record_on_policy(
-        recipe, range(4), make_agent=lambda _: Wanderer(sees_images=sees_images)
+        recording, range(4), make_agent=lambda _: Wanderer(sees_images=sees_images)
     )
-    assert not differing(recipe, made)
+    assert not differing(recording.recipe, made)
 
 
 VARIED = {
@@ -103,5 +105,5 @@ VARIED = {
 @pytest.mark.parametrize("varied", VARIED.values(), ids=VARIED)
 def test_any_rules_show_what_the_environment_shows(varied: dict[str, str], capture: str):
     size = DETECTOR_IMAGE_SIZE_PX if "environment_state" in varied else 32
-    recipe = recipe_of("val", capture=capture, views=("side",), image_size=size, **varied)
-    assert not differing(recipe, recorded(recipe))
+    recording = recording_of("val", capture=capture, views=("side",), image_size=size, **varied)
+    assert not differing(recording.recipe, recorded(recording))

@@ -9,8 +9,8 @@ import pytest
 
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.rollout.loop import record
+from dynahoi_lerobot.rollout.recording import Recording
 from dynahoi_lerobot.sampling.randomization import RANDOMIZATIONS, randomize_appearance
-from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.scene.furniture import furnish
 from dynahoi_lerobot.scene.model import ARENA_HALF_M, FURNITURE_SLOTS
 from tests.world.playing import wait, world
@@ -52,8 +52,8 @@ def test_a_randomization_changes_what_is_seen_in_every_episode(
 
 
 def test_nothing_but_images_changes() -> None:
-    plain = next(record(Recipe(image_size=32), [3]))
-    varied = next(record(Recipe(image_size=32, appearance=tuple(RANDOMIZATIONS)), [3]))
+    plain = next(record(Recording.of(image_size=32), [3]))
+    varied = next(record(Recording.of(image_size=32, appearance=tuple(RANDOMIZATIONS)), [3]))
     for name in ("state", "action", "target_pose", "target_contacts"):
         np.testing.assert_array_equal(getattr(plain, name), getattr(varied, name))
     assert plain.meta.task == varied.meta.task

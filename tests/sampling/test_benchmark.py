@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from benchmarks import pin
-from dynahoi_lerobot.core.rules import CONTROL_CLASSES
-from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.core.protocols import CONTROL_CLASSES
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK, EPISODES_DIGEST
 from dynahoi_lerobot.sampling.splits import split_seeds
 from tests.tools import python
 
@@ -21,6 +21,7 @@ def test_the_definition_is_pinned():
     assert (pin.definition(), BENCHMARK.version) == (PINNED["definition"], PINNED["version"]), (
         "a change of the definition is a new version of the benchmark"
     )
+    assert pin.digest_of(PINNED) == EPISODES_DIGEST, "by which results tell what they may compare"
 
 
 def test_the_definition_holds_all_that_decides_a_result(monkeypatch: pytest.MonkeyPatch):

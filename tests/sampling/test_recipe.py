@@ -8,12 +8,13 @@ import pytest
 
 import dynahoi_lerobot
 from dynahoi_lerobot.objects import OBJECTS
+from dynahoi_lerobot.rollout.recording import Recording, load_recording
 from dynahoi_lerobot.sampling.fingerprint import (
     deciding_sources,
     extension_fingerprint,
     hash_sources,
 )
-from dynahoi_lerobot.sampling.recipe import Recipe, load_recipe
+from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from tests.test_imports import ROOMS, imports
 
@@ -65,7 +66,7 @@ def test_a_bad_value_is_named_in_one_sentence(values: dict):
     with pytest.raises(
         ValueError, match=re.escape(str(value[-1] if isinstance(value, tuple) else value))
     ) as error:
-        Recipe(**values)
+        Recording.of(**values)
     assert "\n" not in str(error.value)
 
 
@@ -85,11 +86,11 @@ def test_a_recipe_file_gives_the_recipe(tmp_path: Path):
     path.write_text(
         "split: val\nmotions: [lateral, ramp]\nimage_size: 64\nperturbed_share: 25e-2\n"
     )
-    assert load_recipe(path) == Recipe(
+    assert load_recording(path) == Recording.of(
         split="val", motions=("lateral", "ramp"), image_size=64, perturbed_share=0.25
     )
     path.write_text("# everything as usual\n")
-    assert load_recipe(path) == Recipe()
+    assert load_recording(path) == Recording()
 
 
 @pytest.mark.parametrize("name", BAD_FILES)
@@ -97,7 +98,7 @@ def test_a_bad_file_is_named_in_one_line_with_what_is_wrong(tmp_path: Path, name
     path, (text, wrong) = tmp_path / "recipe.yaml", BAD_FILES[name]
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     with pytest.raises(ValueError, match=re.escape(wrong)) as error:
-        load_recipe(path)
+        load_recording(path)
     assert str(error.value).startswith(str(path))
     assert "\n" not in str(error.value)
     assert len(str(error.value)) < 500
@@ -106,12 +107,7 @@ def test_a_bad_file_is_named_in_one_line_with_what_is_wrong(tmp_path: Path, name
 def test_a_file_that_cannot_be_read_is_named(tmp_path: Path):
     for path in (tmp_path / "absent.yaml", tmp_path):
         with pytest.raises(ValueError, match=re.escape(str(path))):
-            load_recipe(path)
-
-
-def test_the_fingerprint_changes_with_the_recipe():
-    assert Recipe().fingerprint() == Recipe().fingerprint()
-    assert Recipe().fingerprint() != Recipe(image_size=64).fingerprint()
+            load_recording(path)
 
 
 PACKAGE = Path(dynahoi_lerobot.__file__).parent

@@ -20,7 +20,7 @@ from dynahoi_lerobot.scene.screen import apart, earliest_meeting, with_screen
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.world.playing import world
 
-OCCLUDED = Recipe(split="test", image_size=16, protocol="occluded")
+OCCLUDED = Recipe.of(split="test", image_size=16, protocol="occluded")
 
 
 @pytest.fixture(scope="module")
@@ -111,5 +111,5 @@ def test_boxes_are_apart_if_an_axis_separates_them(turn_rad: float, clear: bool)
 
 @pytest.mark.parametrize("control_class", ["standard", "late"])
 def test_the_expert_catches_every_target(occluded: list[EpisodeSpec], control_class: str):
-    batch = WorldBatch(replace(OCCLUDED, control_class=control_class), 22, threads=1)
+    batch = WorldBatch(replace(OCCLUDED.rules, control_class=control_class), 22, threads=1)
     assert all(episode.success for episode in evaluate(batch, EXPERTS["intercept"](), occluded))

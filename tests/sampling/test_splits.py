@@ -21,7 +21,8 @@ from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.motions import MOTIONS, PrescribedMotion
 from dynahoi_lerobot.report.entries import read_entries
-from dynahoi_lerobot.rollout.loop import evaluate, record
+from dynahoi_lerobot.rollout.loop import evaluate
+from dynahoi_lerobot.rollout.recording import Recording
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.homes import visible
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -121,7 +122,7 @@ def test_no_file_of_a_result_or_a_dataset_holds_the_salt(runs: dict[str, Path], 
     head = json.loads((runs["salted"] / "metrics.json").read_text())
     assert "(hidden)" in head["command"]
     provenance = json.loads((root / MANIFEST_PATH).read_text())["provenance"]
-    assert head["extra"]["recipe"]["salt"] == provenance["recipe"]["salt"] == seal(SALT)
+    assert head["recipe"]["salt"] == provenance["recording"]["recipe"]["salt"] == seal(SALT)
 
 
 def test_a_hash_makes_no_episode():
@@ -175,7 +176,7 @@ def test_recorded_command_lines_hide_it(words: list[str], kept: list[str]):
 
 SLOW, FAST = (Recipe(split="twins", path_speed=speed) for speed in (1.0, 1.6))
 N_KINDS = len(SLOW.motion_names)
-DIFFERENT = {"motion", "target_path_w", "fingerprint"}
+DIFFERENT = {"motion", "target_path_w", "code"}
 
 
 @pytest.fixture(scope="module")
@@ -225,7 +226,7 @@ def test_both_can_be_watched_and_met_alike(pairs: list[tuple[EpisodeSpec, Episod
         seen = visible(spec.target_path_w[: spec.window_frames + 1] - spec.home_pos_w)
         assert seen.mean() >= 0.9
     episodes = list(
-        evaluate(WorldBatch(FAST, 12), EXPERTS["intercept"](), [fast for _, fast in pairs])
+        evaluate(WorldBatch(FAST.rules, 12), EXPERTS["intercept"](), [fast for _, fast in pairs])
     )
     assert np.mean([episode.success for episode in episodes]) > 0.9
     assert {episode.meta.split for episode in episodes} == {"twins"}
@@ -233,4 +234,4 @@ def test_both_can_be_watched_and_met_alike(pairs: list[tuple[EpisodeSpec, Episod
 
 def test_twins_are_not_recorded():
     with pytest.raises(ValueError, match="is for evaluations"):
-        next(record(SLOW, [0]))
+        Recording(SLOW)

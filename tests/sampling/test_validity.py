@@ -11,7 +11,7 @@ import pytest
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.rollout.loop import evaluate
-from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.rules import Rules
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.tools import python
 
@@ -42,7 +42,7 @@ def test_who_does_not_know_the_path_is_far_from_catching_everything(
     name, control, least, most, specs
 ):
     episodes = list(
-        evaluate(WorldBatch(Recipe(control_class=control), 22), EXPERTS[name](), specs[:22])
+        evaluate(WorldBatch(Rules(control_class=control), 22), EXPERTS[name](), specs[:22])
     )
     localized = [episode.first_localized is not None for episode in episodes]
     assert least <= 100 * np.mean(localized) <= most

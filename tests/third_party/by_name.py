@@ -17,7 +17,7 @@ from benchmarks import pin
 from dynahoi_lerobot.cli.main import main as dynahoi
 from dynahoi_lerobot.env import register_envs
 from dynahoi_lerobot.rollout.loop import record
-from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.rollout.recording import Recording
 from dynahoi_lerobot.scene.scene import compile_scene
 
 OPTIONS = ["--motions", "a_drift", "--objects", "caltrop"]
@@ -30,15 +30,18 @@ def main(folder: Path) -> None:
         "slots are added after the first compilation"
     )
     for split in ("train", "test", "ood_speed"):
-        recipe = Recipe(split=split, motions=("a_drift",), objects=("caltrop",), image_size=32)
-        (episode,) = record(recipe, [0])
+        recording = Recording.of(
+            split=split, motions=("a_drift",), objects=("caltrop",), image_size=32
+        )
+        (episode,) = record(recording, [0])
         assert (episode.meta.motion, episode.meta.object, episode.success) == (
             "a_drift",
             "caltrop",
             True,
         )
     (contact,) = record(
-        Recipe(capture="contact", objects=("caltrop",), motions=("constant",), image_size=32), [0]
+        Recording.of(capture="contact", objects=("caltrop",), motions=("constant",), image_size=32),
+        [0],
     )
     assert contact.target_contacts.any(), "its solids are touched"
     register_envs()

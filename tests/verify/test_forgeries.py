@@ -279,7 +279,7 @@ META: dict[str, Forgery] = {
     "a video turned by 90 degrees": container(matrix=(0, 65536, 0, -65536, 0, 0, 0, 0, 2**30)),
     "cameras": column(ROWS, "stats/ego_camera", lambda poses: [scaled([poses[0]])[0], *poses[1:]]),
     "split": column(ROWS, "split", lambda splits: ["test"] * len(splits)),
-    "fingerprint": column(ROWS, "fingerprint", lambda prints: ["0" * 12] * len(prints)),
+    "code": column(ROWS, "code", lambda prints: ["0" * 12] * len(prints)),
     "outcome": column(ROWS, "success", lambda found: [False, *found[1:]]),
     "an episode twice": repeated,
     "an episode twice, under another seed": repeated_under_another_seed,

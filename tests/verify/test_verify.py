@@ -19,6 +19,7 @@ from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.video import Encoding
 from dynahoi_lerobot.rollout.loop import record
+from dynahoi_lerobot.rollout.recording import Recording
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.verify.command import drawn_evenly, verify
 from dynahoi_lerobot.verify.verdicts import verdict_problems
@@ -27,7 +28,7 @@ from tests.tools import edit_json, flip_byte, generated
 from tests.verify.test_forgeries import column
 
 DATA, ROWS = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet"
-RECIPE = Recipe(motions=("constant", "lob"), image_size=32)
+RECIPE = Recipe.of(motions=("constant", "lob"), image_size=32)
 SMALL = ("--image-size", "32", "--motions", "constant,lob")
 
 
@@ -130,11 +131,11 @@ VERDICTS: dict[str, Callable[[Episode], Episode]] = {
 
 def test_verdicts_that_do_not_follow_are_found(sound):
     first, *_ = read_episodes(sound, images=False)
-    assert not [*verdict_problems(first, RECIPE.hand)]
+    assert not [*verdict_problems(first, RECIPE.rules.hand_name)]
     assert not [
         name
         for name, forge in VERDICTS.items()
-        if not [*verdict_problems(forge(first), RECIPE.hand)]
+        if not [*verdict_problems(forge(first), RECIPE.rules.hand_name)]
     ]
 
 
@@ -171,7 +172,7 @@ def test_derived_columns_that_do_not_follow_are_found_though_they_are_signed(
 @pytest.fixture(scope="module")
 def made() -> list[Episode]:
     """The episodes of the dataset, as they were rendered."""
-    return list(record(RECIPE, range(2)))
+    return list(record(Recording(RECIPE), range(2)))
 
 
 def white_square(images: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from PIL import Image
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.agent import Observation
-from dynahoi_lerobot.core.rules import one_hot_phase
+from dynahoi_lerobot.core.protocols import one_hot_phase
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.rollout.inference import Inference, RealTimeAgent
 from dynahoi_lerobot.vlm.agent import Answer, ReplyError, VlmAgent, VlmClient, parse_reply

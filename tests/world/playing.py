@@ -7,20 +7,21 @@ from dataclasses import fields, replace
 import numpy as np
 
 from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.world.batch import WorldBatch
 
-SMALL = Recipe(split="test", image_size=32)
+SMALL = Recipe.of(split="test", image_size=32)
 
 
 def world(specs: Sequence[EpisodeSpec], *, threads: int = 1, **options) -> WorldBatch:
     """A batch with one world for each spec, at the start of its episode; ``options`` are fields of
-    the recipe.
+    the rules.
     """
-    batch = WorldBatch(SMALL.changed(**options), len(specs), threads)
+    batch = WorldBatch(changed(SMALL.rules, options), len(specs), threads)
     batch.reset(range(len(specs)), specs)
     return batch
 
@@ -33,7 +34,7 @@ def wait(batch: WorldBatch) -> None:
 
 def digest(episode: Episode) -> str:
     """Hash of every number, pixel and word of an episode, but not of the code that made it."""
-    sha = hashlib.sha256(repr(replace(episode.meta, fingerprint="")).encode())
+    sha = hashlib.sha256(repr(replace(episode.meta, code="")).encode())
     for field in fields(episode):
         value = getattr(episode, field.name)
         if isinstance(value, np.ndarray):
@@ -50,6 +51,6 @@ def digests(
     specs: Sequence[EpisodeSpec], size: int, threads: int = 1, *, images: bool = False
 ) -> dict[int, str]:
     """Hash of the expert's evaluation of each seed, played ``size`` worlds at a time."""
-    batch = WorldBatch(SMALL, size, threads)
+    batch = WorldBatch(SMALL.rules, size, threads)
     episodes = evaluate(batch, EXPERTS["intercept"](), specs, images=images)
     return {episode.meta.seed: digest(episode) for episode in episodes}

@@ -7,7 +7,8 @@ import pytest
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT, HAND_DOF, PALM_DOF
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.rules import CONTROL_CLASSES
+from dynahoi_lerobot.core.nested import changed
+from dynahoi_lerobot.core.protocols import CONTROL_CLASSES
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.env import DynahoiVectorEnv
 from dynahoi_lerobot.experts import EXPERTS
@@ -168,7 +169,7 @@ def test_stored_actions_replay_to_the_bit(control_class: str, specs: list[Episod
     """Over whole episodes with commands beyond every limit: those of the slides lie elsewhere in
     each home frame.
     """
-    recipe = replace(SMALL, control_class=control_class)
+    recipe = changed(SMALL, {"control_class": control_class})
     for spec in specs[2:20:6]:
         rng = np.random.default_rng(spec.seed)
         commands = rng.normal(0, [1.5] * PALM_DOF + [1.0] * (HAND_DOF - PALM_DOF), (40, HAND_DOF))
@@ -189,13 +190,15 @@ def test_stored_actions_replay_to_the_bit(control_class: str, specs: list[Episod
         assert latency == 0 or np.abs(first.executed_action - first.given_action).max() > 0.01
 
 
-SEEING = Recipe(split="test", image_size=16, views=("side",))
-BLIND = replace(SEEING, protocol="observe_then_blind")
+SEEING = Recipe.of(split="test", image_size=16, views=("side",))
+BLIND = changed(SEEING, {"protocol": "observe_then_blind"})
 
 
 def played(recipe: Recipe, count: int = 4) -> list[Episode]:
     specs = sample_specs(recipe, range(count))
-    episodes = evaluate(WorldBatch(recipe, 3), EXPERTS[recipe.expert](), specs, images=True)
+    episodes = evaluate(
+        WorldBatch(recipe.rules, 3), EXPERTS[recipe.rules.capture_rule.expert](), specs, images=True
+    )
     return sorted(episodes, key=lambda episode: episode.meta.seed)
 
 
@@ -218,7 +221,7 @@ def test_the_cameras_see_the_window_and_nothing_after_it(seen: list[Episode]):
 def test_render_noise_changes_every_image_by_up_to_the_given_levels_and_nothing_else(
     seen: list[Episode],
 ):
-    for clean, noisy in zip(seen, played(replace(SEEING, render_noise=2)), strict=True):
+    for clean, noisy in zip(seen, played(changed(SEEING, {"render_noise": 2})), strict=True):
         np.testing.assert_array_equal(noisy.state, clean.state)
         for view in ("ego", "side"):
             change = noisy.images[view].astype(int) - clean.images[view]
@@ -227,7 +230,7 @@ def test_render_noise_changes_every_image_by_up_to_the_given_levels_and_nothing_
             assert abs(within.mean()) < 0.1
             assert (change != 0).any(axis=(1, 2, 3)).all()
             assert not np.array_equal(change[0], change[1])
-    (blind,) = played(replace(BLIND, render_noise=2), 1)
+    (blind,) = played(changed(BLIND, {"render_noise": 2}), 1)
     assert not blind.images["ego"][blind.meta.window_frames :].any(), "black images stay black"
 
 

@@ -10,20 +10,23 @@ from lerobot.envs.configs import EnvConfig
 from lerobot.utils.constants import OBS_ENV_STATE
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
-from dynahoi_lerobot.core.features import Feature
+from dynahoi_lerobot.core.features import TRUTH, Feature
+from dynahoi_lerobot.core.nested import changed, field_names
 from dynahoi_lerobot.core.registry import known
 from dynahoi_lerobot.env.vector_env import REWARDS, SPARSE
+from dynahoi_lerobot.evaluate.results import RunInfo
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.rollout.inference import SYNC, Inference, StepwiseInference
-from dynahoi_lerobot.sampling.recipe import PLAYING, Recipe
-from lerobot_env_dynahoi.command_line import new_results_folder, policy_rules, queued_policy
+from dynahoi_lerobot.rules import Rules
+from dynahoi_lerobot.sampling.recipe import Recipe
+from lerobot_env_dynahoi.command_line import Launch, read_launch
 from lerobot_env_dynahoi.task_env import ResultsLog, TaskEnv
 
-RECIPE_FIELDS = tuple(name for name in PLAYING if name != "motions")
-"""Fields of the recipe that the config offers; its ``task`` names the motions."""
+HINTS = get_type_hints(Recipe) | get_type_hints(Rules)
+OFFERED = [name for name in field_names(Recipe) if name != "motions"]
+"""Fields of recipe and rules that are options here, too; ``task`` names the motions."""
 RecipeFields = make_dataclass(
-    "RecipeFields",
-    [(name, get_type_hints(Recipe)[name] | None, field(default=None)) for name in RECIPE_FIELDS],
+    "RecipeFields", [(name, HINTS[name] | None, field(default=None)) for name in OFFERED]
 )
 """These fields, None where nothing is said."""
 
@@ -33,11 +36,10 @@ RecipeFields = make_dataclass(
 class DynahoiEnvConfig(RecipeFields, EnvConfig):
     """Dynamic capture: one suite per category of motion, one task per kind.
 
-    The fields of `Recipe` that matter to a policy are fields here as well, such as ``split``,
-    ``image_size``, ``control_class`` and ``environment_state``. One that is None is as the policy
-    of the command line was trained (``capture``, ``control_class``, ``protocol``, ``image_size``,
-    ``views``), or else as in the recipe by default; the split is ``test``. A seed is the number of
-    an episode within split and kind of motion; fixed splits wrap around.
+    The fields of `Rules` are fields here as well, such as ``capture``, ``control_class`` and
+    ``image_size``; one that is None is as the policy of the command line was trained, or else as in
+    the rules by default. So are those of `Recipe`, such as ``split``, which is ``test`` by default.
+    A seed is the number of an episode within split and kind of motion; fixed splits wrap around.
 
     Attributes:
         task: one kind of motion, one category, several of either separated by commas, or None for
@@ -63,11 +65,7 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
     features_map: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Fill in ``features`` (by Gymnasium key, images by dataset key) and ``features_map``;
-        check all names.
-
-        LeRobot's recording of evaluations looks for images under dataset keys, and for all else
-        under Gymnasium's.
+        """Check all names, and fill in ``features`` and ``features_map``.
 
         Raises:
             ValueError: for an unknown name, naming the ones there are, or for more than one task at
@@ -76,26 +74,23 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
         if self.max_parallel_tasks != 1:
             told = "must be 1, because LeRobot's parallel tasks share one policy and its memory"
             raise ValueError(f"env.max_parallel_tasks {told}, got {self.max_parallel_tasks}")
-        recipe = self._recipe()
-        for name in RECIPE_FIELDS:
-            if name != "hand":  # which is the capture rule's where nothing is said
-                setattr(self, name, getattr(recipe, name))
+        recipe = self.recipe()
         kinds_of(self.task, recipe.motion_names)
         known("reward", self.reward, REWARDS)
-        shown = {
-            feature.key if feature.is_image else feature.gym_key: feature
-            for feature in recipe.features()
-            if feature.gym_key is not None
-        }
-        self.features = {
-            key: PolicyFeature(_type(feature), feature.shape) for key, feature in shown.items()
-        }
-        self.features_map = {key: feature.key for key, feature in shown.items()}
+        self._describe(recipe.rules)
 
     @property
     def gym_kwargs(self) -> dict[str, Any]:
         """Keyword arguments of the env."""
-        return {"recipe": self._recipe()}
+        return {"recipe": self.recipe()}
+
+    def recipe(self, trained: dict[str, Any] | None = None) -> Recipe:
+        """Return what is played: what is given, else what a policy was ``trained`` for, else the
+        defaults.
+        """
+        given = {name: getattr(self, name) for name in OFFERED}
+        told = {name: value for name, value in given.items() if value is not None}
+        return changed(Recipe(split="test"), (trained or {}) | told)
 
     def create_envs(
         self, n_envs: int, use_async_envs: bool = False
@@ -108,38 +103,62 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
                 policy.
         """
         del use_async_envs
-        recipe = self._recipe()
-        kinds = kinds_of(self.task, recipe.motion_names)
         timing = Inference(self.inference, self.latency_ms)
-        policy = None if timing.mode == SYNC else queued_policy(self.n_action_steps)
-        folder = new_results_folder() if self.results_dir is None else Path(self.results_dir)
-        log = ResultsLog(folder, recipe, timing.label)
+        launch = read_launch(policy_config=timing.mode != SYNC)
+        recipe = self.recipe(launch.rules)
+        self._announce(launch)
+        self._describe(recipe.rules)
+        policy = None if timing.mode == SYNC else launch.queued_policy(self.n_action_steps)
+        log = self._log(launch, recipe, timing)
         suites: dict[str, dict[int, gym.vector.VectorEnv]] = {}
-        for kind in kinds:
+        for kind in kinds_of(self.task, recipe.motion_names):
             tasks = suites.setdefault(MOTIONS[kind].category, {})
-            stepwise = None if policy is None else StepwiseInference(policy, timing)
             options: dict[str, Any] = {
                 "recipe": recipe,
                 "reward": self.reward,
-                "inference": stepwise,
+                "inference": None if policy is None else StepwiseInference(policy, timing),
             }
             tasks[len(tasks)] = TaskEnv(n_envs, on_episode=log, kind=kind, **options)
         return suites
 
-    def _recipe(self) -> Recipe:
-        """Return what is played: what is given, and else what the policy was trained for, which is
-        printed.
+    def _log(self, launch: Launch, recipe: Recipe, timing: Inference) -> ResultsLog:
+        """Return what writes the results."""
+        info = RunInfo.begun(
+            launch.policy,
+            recipe,
+            launch.weights,
+            inference=timing.label,
+            privileged=recipe.rules.environment_state == TRUTH,
+        )
+        folder = launch.new_results_folder() if self.results_dir is None else Path(self.results_dir)
+        return ResultsLog(folder, info)
+
+    def _announce(self, launch: Launch) -> None:
+        """Print the rules that nobody gave and that are not the default."""
+        usual = Rules()
+        told = [
+            f"{name} {','.join(value) if name == 'views' else value}"
+            for name, value in launch.rules.items()
+            if getattr(self, name) is None and value != getattr(usual, name)
+        ]
+        if told:
+            print(f"playing as the policy was trained: {', '.join(told)}")
+
+    def _describe(self, rules: Rules) -> None:
+        """Fill in ``features`` (by Gymnasium key, images by dataset key) and ``features_map``.
+
+        LeRobot's recording of evaluations looks for images under dataset keys, and for all else
+        under Gymnasium's.
         """
-        given = {
-            name: value for name in RECIPE_FIELDS if (value := getattr(self, name)) is not None
+        shown = {
+            feature.key if feature.is_image else feature.gym_key: feature
+            for feature in rules.features
+            if feature.gym_key is not None
         }
-        trained = {name: value for name, value in policy_rules().items() if name not in given}
-        if trained:
-            told = ", ".join(
-                f"{name} {','.join(v) if name == 'views' else v}" for name, v in trained.items()
-            )
-            print(f"playing as the policy was trained: {told}")
-        return Recipe(split="test").changed(**trained | given)
+        self.features = {
+            key: PolicyFeature(_type(feature), feature.shape) for key, feature in shown.items()
+        }
+        self.features_map = {key: feature.key for key, feature in shown.items()}
 
 
 def _type(feature: Feature) -> FeatureType:

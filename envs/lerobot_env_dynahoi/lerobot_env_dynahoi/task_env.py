@@ -8,12 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.features import TRUTH
 from dynahoi_lerobot.env.vector_env import DynahoiVectorEnv
 from dynahoi_lerobot.evaluate.results import Results, RunInfo
 from dynahoi_lerobot.evaluate.table import results_table
-from dynahoi_lerobot.sampling.recipe import Recipe
-from lerobot_env_dynahoi.command_line import policy_name, policy_weights
 
 
 class ResultsLog:
@@ -21,14 +18,8 @@ class ResultsLog:
     folder.
     """
 
-    def __init__(self, folder: Path, recipe: Recipe, inference: str = "") -> None:
-        """Write episodes of ``recipe``, played with the timing ``inference``, into ``folder``
-        whenever a task ends.
-        """
-        privileged = recipe.environment_state == TRUTH
-        info = RunInfo.begun(
-            policy_name(), recipe, policy_weights(), inference=inference, privileged=privileged
-        )
+    def __init__(self, folder: Path, info: RunInfo) -> None:
+        """Write episodes of the run ``info`` into ``folder`` whenever a task ends."""
         self._results, self._unwritten = Results(folder, info), False
 
     def __call__(self, episode: Episode) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 from lerobot.robots import RobotConfig
 from lerobot.teleoperators import TeleoperatorConfig
 
-from dynahoi_lerobot.hands import HANDS
+from dynahoi_lerobot.core.nested import changed, field_names
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.splits import kind_seed
 
@@ -17,11 +17,11 @@ class DynahoiRobotConfig(RobotConfig):
     """A world of the DynaHOI benchmark behind LeRobot's robot interface.
 
     Attributes:
-        split: stream of episodes, as in ``dynahoi list splits``.
+        split: stream of episodes: val, test, test_small, train, twins or one of the ood_ splits.
         task: the kind of motion; None for all kinds of the split in turn.
         seed: number of the first episode within split and kind; the next episodes count up.
-        control_class: limits and latency of the hand, as in ``dynahoi list control-classes``.
-        capture: capture rule, as in ``dynahoi list captures``.
+        control_class: limits and latency of the hand: standard, late or unlimited.
+        capture: capture rule: attach, attach_lenient or contact.
         hand: the hand; that of the capture rule if empty.
         image_size: side of the camera images [px].
         views: cameras besides ``ego``.
@@ -58,16 +58,13 @@ class DynahoiRobotConfig(RobotConfig):
             raise ValueError(
                 "robot.image_size is 0, but the robot needs its camera; set it to 32 or more"
             )
-        _ = kind_seed(self.recipe, self.task, self.seed), HANDS[self.recipe.hand]
+        kind_seed(self.recipe, self.task, self.seed)
 
     @property
     def recipe(self) -> Recipe:
-        """Rules of the episodes."""
-        rules = {
-            name: getattr(self, name)
-            for name in ("split", "control_class", "hand", "image_size", "views")
-        }
-        return Recipe(**{**rules, "views": tuple(self.views), "capture": self.capture})
+        """The episodes."""
+        names = set(field_names(Recipe)) & vars(self).keys()
+        return changed(Recipe(), {name: getattr(self, name) for name in names})
 
 
 @TeleoperatorConfig.register_subclass("dynahoi_expert")

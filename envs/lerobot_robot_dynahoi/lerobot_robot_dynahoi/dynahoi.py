@@ -87,8 +87,9 @@ class DynahoiRobot(Simulated, Robot):
     @property
     def cameras(self) -> dict[str, tuple[int, int, int]]:
         """Shape of each camera's images; LeRobot counts them."""
-        size = self.recipe.image_size
-        return dict.fromkeys((EGO_VIEW, *self.recipe.views), (size, size, 3))
+        rules = self.recipe.rules
+        size = rules.image_size
+        return dict.fromkeys((EGO_VIEW, *rules.views), (size, size, 3))
 
     @property
     def observation_features(self) -> dict[str, Any]:

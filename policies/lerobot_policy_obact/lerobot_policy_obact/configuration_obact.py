@@ -106,6 +106,8 @@ class ObActConfig(PreTrainedConfig):
     ema_decay: float = 0.995  # of the average of the weights, which acts
 
     rig: Rig = field(default_factory=Rig)  # taken from the dataset
+    rules: dict[str, Any] = field(default_factory=dict)
+    """How the episodes of the dataset were played, as its manifest says, and how to evaluate."""
     rtc_config: RTCConfig | None = None  # real-time chunking, set by LeRobot's rollout
 
     # images in [0, 1], metres and radians: encoders and heads standardise by themselves

@@ -137,6 +137,17 @@ def _teacher_of(rig: Rig, table: dict[str, list[Any]]) -> Teacher:
     )
 
 
+def rules_of(meta: Any) -> dict[str, Any]:
+    """Return how the episodes of a dataset were played, as its manifest says; nothing if it has
+    none.
+    """
+    manifest = meta.root / "meta" / "manifest.json"
+    told = json.loads(manifest.read_text()) if manifest.exists() else {}
+    for key in ("provenance", "recording", "recipe", "rules"):
+        told = told.get(key) or {}
+    return told
+
+
 def describe(meta: Any, cameras: list[str]) -> Rig:
     """Return what a dataset says of its clock, its cameras, its hand and its targets.
 

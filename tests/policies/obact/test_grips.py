@@ -77,9 +77,9 @@ def test_a_hand_that_holds_a_target_stays_closed_is_not_moved_and_slows_to_lifti
 
 
 def test_labels_are_what_the_expert_commands():
-    recipe = Recipe(split="train", capture="contact", image_size=0)
+    recipe = Recipe.of(split="train", capture="contact", image_size=0)
     specs, expert = sample_specs(recipe, range(4)), EXPERTS["match"]()
-    batch = WorldBatch(recipe, len(specs))
+    batch = WorldBatch(recipe.rules, len(specs))
     batch.reset(range(len(specs)), specs)
     for _ in range(max(spec.window_frames for spec in specs) + 2):
         world: WorldState = batch.world_state(batch.observe(images=False))
