@@ -20,7 +20,7 @@ from dynahoi_lerobot.report.entries import Entry, read_entries
 from dynahoi_lerobot.report.export import ranges, write_csv, write_latex
 from tests.report.example_runs import example_run
 
-ODD = '#1, "a" & 50% $x_y^{2}$ ~ \\end [0] é'
+ODD = "#1 a & 50% $x_y^{2}$ ~ [0] é"
 
 
 @pytest.fixture(scope="module")
