@@ -12,7 +12,7 @@ import argparse
 import hashlib
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -101,7 +101,7 @@ def rendered(page: str, folder: Path = FIGURES) -> str:
     jinja = Environment(
         loader=FileSystemLoader(folder), undefined=StrictUndefined, trim_blocks=True
     )
-    jinja.filters |= {"brief": Figure.brief, "show": Figure.show}
+    jinja.filters |= {"brief": _shown(Figure.brief), "show": _shown(Figure.show)}
     template = jinja.get_template("tables.jinja")
     known = {path.stem: figures(json.loads(path.read_text())) for path in folder.glob("*.json")}
 
@@ -113,6 +113,11 @@ def rendered(page: str, folder: Path = FIGURES) -> str:
         return f"{match[1]}\n{text}\n{match[3]}"
 
     return BLOCK.sub(block, page)
+
+
+def _shown(write: Callable[..., str]) -> Callable[..., str]:
+    """Return a filter that writes a figure, and nothing for a metric that does not apply."""
+    return lambda figure, *options: "" if figure is None else write(figure, *options)
 
 
 def main() -> None:

@@ -46,6 +46,7 @@ from dynahoi_lerobot.evaluate.replay_results import (
 )
 from dynahoi_lerobot.evaluate.results import (
     ACTIONS_FILE,
+    BASE,
     EPISODES_FILE,
     METRICS_FILE,
     WEIGHTS,
@@ -379,14 +380,17 @@ PUSHES: dict[str, Callable[[Options, Repository], str]] = {
 def _check_policy(results: Results, repository: Repository, said: str) -> None:
     """Refuse results of another policy than the repository's, unless the user ``said`` that it is
     the same.
+
+    The repository of an adapter does not hold the weights of its base model.
     """
-    policy, weights = results.info.policy, results.info.extra.get(WEIGHTS) or {}
+    policy, played = results.info.policy, results.info.extra.get(WEIGHTS) or {}
+    weights = {name: digest for name, digest in played.items() if not name.startswith(BASE)}
     here = f"{repository.name}: {results.folder} is of {policy}"
     if said and said != policy:
         raise CommandError(f"{here}, not of {said}")
     there = repository.weights()
     same = bool(weights) and all(there.get(name) == sha256 for name, sha256 in weights.items())
-    if not (said or same or (policy == repository.name and not weights)):
+    if not (said or same or (policy == repository.name and not played)):
         raise CommandError(
             f"{here}, and nothing shows that this repository holds it; push that checkpoint, or "
             f"add --policy {policy} "

@@ -29,7 +29,8 @@ def metrics(root: Path) -> pd.DataFrame:
     """Return S_loc, S_gra, E_loc, E_gra, Q_smooth, Q_line and R_time of each episode, indexed by
     ``episode_index``.
 
-    S_gra is NaN where the target was never localised. E_loc and E_gra are in u (0.1 m).
+    S_gra is NaN where the target was never localised, and under the capture rule contact. E_loc
+    and E_gra are in u (0.1 m).
     """
     episodes = _table(root / "meta" / "episodes").set_index("episode_index")
     frames = (
@@ -68,9 +69,10 @@ def _metrics(episode: pd.Series, frames: pd.DataFrame) -> dict[str, float]:
     first = start + 1 + int(inside[0]) if inside.size else None
     state = np.stack(frames["observation.state"]).astype(float)
     path = state[start : None if first is None else first + 1, :3]
+    judged = first is not None and episode["capture"] != "contact"
     return {
         "S_loc": float(first is not None),
-        "S_gra": np.nan if first is None else float(_grasps(episode, state[first, 3:])),
+        "S_gra": float(_grasps(episode, state[first, 3:])) if judged else np.nan,
         "E_loc": palm_distance[start:].min() / UNIT_M,
         "E_gra": np.asarray(episode["stats/fingertip_distance"], float)[start:].min() / UNIT_M,
         "Q_smooth": smoothness(path),

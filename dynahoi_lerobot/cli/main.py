@@ -5,8 +5,9 @@ import importlib
 import logging
 import signal
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import redirect_stderr, redirect_stdout, suppress
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from pathlib import Path
 from typing import Any, NoReturn, TextIO, cast
 
@@ -117,7 +118,7 @@ def exit_code(spoken: str, run: Callable[[], int]) -> int:
     stopped it.
     """
     out, err = (cast("TextIO", Terminal(stream)) for stream in (sys.stdout, sys.stderr))
-    with redirect_stdout(out), redirect_stderr(err):
+    with redirect_stdout(out), redirect_stderr(err), _left_out_in_one_line(spoken):
         try:
             return run()
         except ModuleNotFoundError as error:
@@ -132,6 +133,24 @@ def exit_code(spoken: str, run: Callable[[], int]) -> int:
             sentence, code = "interrupted; run the same command to resume", STOPPED
         print(f"{spoken}: {sentence}", file=sys.stderr)
         return code
+
+
+@contextmanager
+def _left_out_in_one_line(spoken: str) -> Iterator[None]:
+    """Print what a reader leaves out in one sentence, as errors are, without a line of source."""
+    with warnings.catch_warnings():
+        usual = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *where: Any) -> None:
+            from dynahoi_lerobot.core.reading import LeftOut  # which brings in NumPy
+
+            if issubclass(category, LeftOut):
+                print(f"{spoken}: {message}", file=sys.stderr)
+            else:
+                usual(message, category, *where)
+
+        warnings.showwarning = show
+        yield
 
 
 def _sentence(error: Exception) -> str:
@@ -152,13 +171,14 @@ def _sentence(error: Exception) -> str:
 
 
 def _check_outputs(options: object) -> None:
-    """Refuse an unwritable ``--out`` or ``--json`` before any work starts."""
-    path, out = getattr(options, "json", None), getattr(options, "out", None)
-    if isinstance(path, Path) and (path.is_dir() or not path.parent.is_dir()):
-        raise ValueError(f"--json must name a file in an existing folder, got {path}")
-    for place in (path, out):
-        if isinstance(place, Path):
-            check_output(place)
+    """Refuse an unwritable ``--out``, or another file to write, before any work starts."""
+    for name in ("json", "csv", "latex"):
+        path = getattr(options, name, None)
+        if isinstance(path, Path) and (path.is_dir() or not path.parent.is_dir()):
+            raise ValueError(f"--{name} must name a file in an existing folder, got {path}")
+    out = getattr(options, "out", None)
+    if isinstance(out, Path):
+        check_output(out)
 
 
 if __name__ == "__main__":

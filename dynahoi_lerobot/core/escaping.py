@@ -21,6 +21,19 @@ def markdown(text: str) -> str:
     return line.replace("`", "'").replace("<", "&lt;").replace("|", "\\|").replace("[", "\\[")
 
 
+_LATEX = str.maketrans(
+    {mark: f"\\{mark}" for mark in "&%$#_{}"}
+    | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+    | {mark: f"${mark}$" for mark in "<>|"}
+    | {"≥": r"$\geq$", "↑": r"$\uparrow$", "↓": r"$\downarrow$", "–": "--", "…": r"\ldots{}"}
+)
+
+
+def latex(text: str) -> str:
+    """Return ``text`` as one that LaTeX typesets as it is, in a cell or a comment."""
+    return printable(text).translate(_LATEX)
+
+
 def data_url(kind: str, content: bytes) -> str:
     """Return content of a media type, such as ``image/gif``, as an address that holds it."""
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"

@@ -52,6 +52,10 @@ class ReadError(ValueError):
     """A file that cannot be read, or does not hold what it should; the message is one sentence."""
 
 
+class LeftOut(Warning):
+    """Part of what was to be read is left out and the rest is used; the message is one sentence."""
+
+
 @contextmanager
 def reading(path: Path, *others: type[Exception]) -> Iterator[None]:
     """Raise whatever a reader raises as a `ReadError` that names the file, or one in the folder,

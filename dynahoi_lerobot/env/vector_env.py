@@ -88,7 +88,8 @@ class DynahoiVectorEnv(VectorEnv):
         world stands still, black in images, until a reset (``DISABLED``).
     Info:
         ``is_success`` (N,) bool at every step; when an episode ends also every metric by name, (N,)
-        float64, NaN where it does not apply, with its mask ``_<name>``.
+        float64, with its mask ``_<name>``: NaN and False where no episode ends, or where the
+        metric does not apply.
     Options:
         ``reset(options={"lerobot_new_rollout": True})`` plays one episode in every world, then
         waits for a reset. ``reset(options={"reset_mask": mask})`` begins episodes in the worlds of
@@ -380,8 +381,9 @@ class DynahoiVectorEnv(VectorEnv):
                 self._on_episode(episode)
             for name, value in measure(episode).items():
                 column = infos.setdefault(name, np.full(self.num_envs, np.nan))
+                mask = infos.setdefault("_" + name, np.zeros(self.num_envs, bool))
                 column[i] = np.nan if value is None else value
-                infos["_" + name] = ending
+                mask[i] = value is not None
         return infos
 
     def _final(self, infos: dict[str, Any], ending: np.ndarray) -> dict[str, Any]:

@@ -82,7 +82,9 @@ class Options:
         "--inference-ms measured",
         whole(1, 4096),
     )
-    gifs: int = option(0, "number of episodes to record as GIFs in --out", whole(0, 10**6))
+    gifs: int = option(
+        0, "number of episodes to record as GIFs in --out: the first of the split", whole(0, 10**6)
+    )
     per_kind: bool = option(False, "also print a row for each kind of motion")
     device: str | None = option(None, "torch device of the policy")
     trust: bool = option(False, TRUST)
@@ -267,13 +269,13 @@ def _specs(options: Options, recipe: Recipe, played: set[int]) -> list[EpisodeSp
 def _played(
     options: Options, recipe: Recipe, actor: Actor, specs: list[EpisodeSpec], size: int
 ) -> Iterator[list[Episode]]:
-    """Play ``specs`` and yield episodes in batches of ``size``, without images; the first are
-    written as GIFs.
+    """Play ``specs`` and yield episodes in batches of ``size``, without images; those of the first
+    seeds of the split are written as GIFs.
     """
     if not specs:
         return
     batch = WorldBatch(recipe.rules, min(size, len(specs)))
-    gifs = options.gifs
+    shown = set(split_seeds(options.split)[: options.gifs])
     with tqdm(
         total=len(specs), desc=f"{options.policy} on {options.split}", unit="episode"
     ) as progress:
@@ -283,14 +285,14 @@ def _played(
             ):  # a policy's noise depends on the number of worlds, also when it is resumed
                 batch = WorldBatch(recipe.rules, len(group))
             played = []
-            for episode in evaluate(batch, actor, group, images=gifs > 0):
-                if gifs > 0 and options.out:
+            images = any(spec.seed in shown for spec in group)
+            for episode in evaluate(batch, actor, group, images=images):
+                if options.out and episode.meta.seed in shown:
                     from dynahoi_lerobot.evaluate.gif import episode_gif  # which brings in OpenCV
 
                     episode_gif(
                         options.out / f"{episode.meta.motion}_{episode.meta.seed}.gif", episode
                     )
-                    gifs -= 1
                 played.append(replace(episode, images={}))
                 progress.update()
             yield played

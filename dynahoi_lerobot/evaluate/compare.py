@@ -22,15 +22,25 @@ rule has metrics of its own."""
 COMMANDS = "commands"
 """Compared beside the metrics: how far apart two evaluations command the palm."""
 
+SIGNIFICANT = 0.05
+"""p-value below which a difference is marked; not corrected for the number of comparisons."""
+
 
 @dataclass(frozen=True)
 class Comparison(Estimate):
     """The mean of A - B over the episodes that both played, with the paired bootstrap's 95 %
     interval.
 
-    Of ``commands`` it is the mean distance, in cm.
+    Of B and A it is the opposite, exactly: value and interval negated, the ends of the interval
+    swapped, ``p_value`` and ``n`` the same. Of ``commands`` it is the mean distance, in cm, which
+    is the same for B and A.
 
     Attributes:
+        value: the mean, in ``unit``.
+        low: lower end of the interval.
+        high: upper end of the interval.
+        unit: the metric's, or ``cm``.
+        n: how many episodes both played and the metric applies to in both.
         p_value: exact McNemar for rates, `sign_flip` for means; two-sided. None for ``commands``.
     """
 
@@ -92,18 +102,24 @@ def compare(
     )
     if len(differences) == 0:
         return None
-    low, high = bootstrap(differences)
-    unit, p_value = "cm", None
-    if metric != COMMANDS:
-        unit, p_value = METRICS[metric].unit, _p_value(METRICS[metric], differences)
-    return Comparison(float(differences.mean()), low, high, unit, len(differences), p_value)
+    if metric == COMMANDS:
+        low, high = bootstrap(differences)
+        return Comparison(float(differences.mean()), low, high, "cm", len(differences), None)
+    return _difference(METRICS[metric], differences)
+
+
+def verdict(metric: str, found: Comparison | None) -> int:
+    """Return 1 if a comparison supports that A is better than B, -1 for worse, 0 for neither."""
+    if found is None or not found.value or found.p_value is None or found.p_value >= SIGNIFICANT:
+        return 0
+    return 1 if (found.value > 0) == (METRICS[metric].direction == "higher") else -1
 
 
 def paired_values(a: Results, b: Results, metric: str) -> np.ndarray:
     """Return (n, 2) values of ``metric``, in its unit, in the episodes that both have played and
-    where it applies.
+    where it applies, in one order of episodes whichever evaluation comes first.
     """
-    pairs = [(a.rows[i][metric], b.rows[j][metric]) for i, j in _both_played(a, b)]
+    pairs = [(a.rows[i].get(metric), b.rows[j].get(metric)) for i, j in _both_played(a, b)]
     return np.array([pair for pair in pairs if None not in pair], np.float64).reshape(-1, 2)
 
 
@@ -125,9 +141,35 @@ def command_distances_cm(a: Results, b: Results) -> np.ndarray:
 
 
 def _both_played(a: Results, b: Results) -> list[tuple[int, int]]:
-    """Return the place in A and that in B of every episode that both have."""
-    places = {identity(row): place for place, row in enumerate(b.rows)}
-    return [(i, places[identity(row)]) for i, row in enumerate(a.rows) if identity(row) in places]
+    """Return the place in A and that in B of every episode that both have; the first place, if it
+    was played more than once.
+    """
+    in_a, in_b = _places(a), _places(b)
+    return [(in_a[key], in_b[key]) for key in sorted(in_a.keys() & in_b.keys())]
+
+
+def _places(results: Results) -> dict[tuple, int]:
+    places: dict[tuple, int] = {}
+    for place, row in enumerate(results.rows):
+        places.setdefault(identity(row), place)
+    return places
+
+
+def _difference(metric: Metric, differences: np.ndarray) -> Comparison:
+    """Return the comparison that (n,) paired ``differences`` make.
+
+    Seeded resampling of A - B and of B - A would draw different samples. So the differences are
+    turned to make the first that is not 0 positive, resampled, and the result is turned back.
+    """
+    unequal = differences[differences != 0]
+    turned = unequal.size > 0 and unequal[0] < 0
+    forward = (-differences if turned else differences) + 0.0  # no -0.0
+    value, n = float(forward.mean()), len(forward)
+    low, high = bootstrap(forward)
+    p_value = _p_value(metric, forward)
+    if turned:
+        value, low, high = 0.0 - value, 0.0 - high, 0.0 - low
+    return Comparison(value, low, high, metric.unit, n, p_value)
 
 
 def mcnemar(only_a: int, only_b: int) -> float:

@@ -10,7 +10,7 @@ import math
 import reprlib
 import secrets
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from itertools import batched
 from pathlib import Path
@@ -31,6 +31,7 @@ from dynahoi_lerobot.evaluate.results import (
     read_results,
 )
 from dynahoi_lerobot.evaluate.rows import Row, episode_row
+from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.rollout.inference import SYNC
 from dynahoi_lerobot.rollout.loop import replay
 from dynahoi_lerobot.rules import Rules
@@ -149,7 +150,10 @@ def check_results(results: Results, recipe: Recipe) -> Iterator[str]:
     for name, played in (("split", info.split), ("capture", info.capture)):
         if results.head[name] != played:
             yield f"metrics.json names {name} {results.head[name]}, but its recipe plays {played}"
-    seeds = Counter(row["seed"] for row in results.rows)
+    order = [row["seed"] for row in results.rows]
+    if order != sorted(order):
+        yield "the episodes are not in the order of their split"
+    seeds = Counter(order)
     if repeated := sorted(seed for seed, count in seeds.items() if count > 1):
         yield f"seed {repeated[0]} is there {seeds[repeated[0]]} times"
     if foreign := sorted(set(seeds) - set(split_seeds(split))):
@@ -157,8 +161,9 @@ def check_results(results: Results, recipe: Recipe) -> Iterator[str]:
     if not results.privileged and (again := [row for row in results.rows if row["attempts"] != 1]):
         yield f"seed {again[0]['seed']} took {again[0]['attempts']} attempts; a policy has one"
     recomputed = results.as_json()
+    unknown = results.head["metrics"].keys() - set(METRICS.names())
     for name in COMPUTED:
-        yield from _wrong_sums(name, results.head[name], recomputed[name])
+        yield from _wrong_sums(name, _without(results.head[name], unknown), recomputed[name])
 
 
 def check_episodes(results: Results, recipe: Recipe, indices: Sequence[int]) -> Iterator[list[str]]:
@@ -187,20 +192,32 @@ def _otherwise(results: Results) -> str:
     return f"other surroundings: {'; '.join(differs)}" if differs else "other code"
 
 
+def _without(figures: Any, names: Collection[str]) -> Any:
+    """Return what ``metrics.json`` holds without the entries of some ``names``, at any depth."""
+    if not isinstance(figures, dict):
+        return figures
+    return {key: _without(value, names) for key, value in figures.items() if key not in names}
+
+
 def _wrong_sums(name: str, stored: Any, recomputed: Any) -> Iterator[str]:
     """Yield what in ``metrics.json`` below ``name`` does not follow from the rows."""
     if isinstance(stored, dict) and isinstance(recomputed, dict):
         for key in [*recomputed, *(stored.keys() - recomputed.keys())]:
             yield from _wrong_sums(f"{name}.{key}", stored.get(key), recomputed.get(key))
+    elif isinstance(stored, dict) or isinstance(recomputed, dict):
+        where = "metrics.json" if isinstance(stored, dict) else "the episodes"
+        yield f"{name} is in {where} alone"
     elif not _equal(stored, recomputed):
         yield f"{name} is {stored} in metrics.json and {recomputed} over the episodes"
 
 
 def _wrong_values(episode: Episode, row: Row) -> Iterator[str]:
-    """Yield columns of a row that the replayed episode does not confirm."""
+    """Yield columns of a row that the replayed episode does not confirm; a metric that was not
+    measured says nothing.
+    """
     for name, value in episode_row(episode).items():
-        if name not in NOT_REPLAYED and not _equal(row.get(name), value):
-            yield f"seed {row['seed']}: {name} is {row.get(name)!r}, replayed it is {value!r}"
+        if name in row and name not in NOT_REPLAYED and not _equal(row[name], value):
+            yield f"seed {row['seed']}: {name} is {row[name]!r}, replayed it is {value!r}"
 
 
 def _wrong_actions(episode: Episode, actions: np.ndarray) -> Iterator[str]:

@@ -1,10 +1,12 @@
 """The result folder of one evaluation: ``metrics.json``, ``episodes.parquet`` and
-``actions.npz``.
+``actions.npz``, with the episodes in the order of their split.
 """
 
 import io
 import json
 import sys
+import warnings
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -20,6 +22,7 @@ from dynahoi_lerobot.core.escaping import printable
 from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.core.nested import field_names, flat
 from dynahoi_lerobot.core.reading import (
+    LeftOut,
     ReadError,
     decoded,
     open_table,
@@ -30,7 +33,7 @@ from dynahoi_lerobot.core.reading import (
     require,
 )  # fmt: skip
 from dynahoi_lerobot.core.working_folder import working_folder
-from dynahoi_lerobot.evaluate.rows import COLUMNS, Row, episode_row
+from dynahoi_lerobot.evaluate.rows import COLUMNS, METRIC_TYPE, Row, episode_row, measured
 from dynahoi_lerobot.evaluate.summary import Estimate, Summary, summarise_by, summarise_rows, wilson
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.rollout.inference import SYNC
@@ -43,6 +46,10 @@ from dynahoi_lerobot.sampling.salt import stream_label, without_salt
 METRICS_FILE = "metrics.json"
 EPISODES_FILE = "episodes.parquet"
 ACTIONS_FILE = "actions.npz"
+
+SCHEMA = 1
+"""What the three files hold. A reader refuses another number. A key or column that may be missing
+is added without changing it, and is ignored by readers that do not know it."""
 
 HEAD_TYPES: dict[str, Any] = (
     {"n": int, "n_success": int, "pc_success_ci95": list[float]}
@@ -72,6 +79,8 @@ MOST_EPISODES = 10**4
 REMEDY = "run `dynahoi evaluate` with this folder as --out"
 WEIGHTS = "weights"
 """Key of the sha256 of a policy's files of weights, by name."""
+BASE = "base/"
+"""Names of the files of weights of an adapter's base model begin so."""
 
 
 def command_line() -> str:
@@ -92,7 +101,8 @@ class RunInfo:
         code: fingerprint of the code that played it.
         extra: further JSON values: ``privileged`` if who moved the hand saw the simulator's state,
             ``inference`` and ``settings`` where inference took time or the policy's config was
-            changed, ``weights``, and whatever a figure needs, such as ``n_obs_steps`` or
+            changed, ``weights``, sha256 by the name of the file, those of an adapter's base model
+            under ``base/NAME``, and whatever a figure needs, such as ``n_obs_steps`` or
             ``data_fraction``.
         benchmark: identifies the benchmark; scores of another one do not compare.
     """
@@ -127,7 +137,8 @@ class RunInfo:
 
     def task(self) -> dict[str, Any]:
         """Return what must be equal for an evaluation to be resumed."""
-        told = {name: self.extra.get(name) or "" for name in ("inference", "settings", WEIGHTS)}
+        told: dict[str, Any] = {"schema": SCHEMA}
+        told |= {name: self.extra.get(name) or "" for name in ("inference", "settings", WEIGHTS)}
         return {
             name: getattr(self, name) for name in ("policy", "recipe", "code", "benchmark")
         } | told
@@ -140,7 +151,8 @@ class Results:
     Attributes:
         folder: where it was read from or written to.
         info: what was evaluated and how.
-        rows: one row an episode, as ``episode_row`` makes them.
+        rows: one row an episode, as ``episode_row`` makes them, by ascending seed, which is the
+            order of the split. A metric that was not measured is missing in them.
         actions: one (T, 18) float32 array an episode, palm position [m], home frame, and joint
             angles [rad].
         head: what ``metrics.json`` held; empty for results that were not read.
@@ -158,7 +170,7 @@ class Results:
         """Return what an interrupted run of the same task has saved in ``folder``.
 
         It may have ended before its first save, or between the renaming of two files, so that one
-        of them holds more episodes.
+        of them holds episodes that the other lacks; these are played again.
 
         Raises:
             ReadError: if what it saved is damaged.
@@ -166,16 +178,22 @@ class Results:
         if not all((folder / name).exists() for name in (EPISODES_FILE, ACTIONS_FILE)):
             return cls(folder, info)
         rows = _read_rows(folder / EPISODES_FILE)
-        actions = _read_actions(folder / ACTIONS_FILE, rows)
-        return cls(folder, info, tuple(rows[: len(actions)]), tuple(actions[: len(rows)]))
+        seeds, actions = _read_actions(folder / ACTIONS_FILE)
+        kept_rows = [rows[i] for i in _shared([row["seed"] for row in rows], seeds)]
+        kept_actions = [actions[i] for i in _shared(seeds, [row["seed"] for row in rows])]
+        _check_logs(folder / ACTIONS_FILE, kept_rows, kept_actions)
+        return cls(folder, info, tuple(kept_rows), tuple(kept_actions))
 
     def plus(self, episodes: Sequence[Episode]) -> Self:
-        """Return these results and those of further ``episodes``."""
-        rows, actions = (
-            map(episode_row, episodes),
-            (np.array(episode.action, np.float32) for episode in episodes),
+        """Return these results and those of further ``episodes``, in the order of the split."""
+        rows = [*self.rows, *map(episode_row, episodes)]
+        actions = [*self.actions, *(np.array(episode.action, np.float32) for episode in episodes)]
+        order = sorted(range(len(rows)), key=lambda i: rows[i]["seed"])
+        return replace(
+            self,
+            rows=tuple(rows[i] for i in order),
+            actions=tuple(actions[i] for i in order),
         )
-        return replace(self, rows=(*self.rows, *rows), actions=(*self.actions, *actions))
 
     @property
     def seeds(self) -> set[int]:
@@ -225,19 +243,21 @@ class Results:
     def as_json(self) -> dict[str, Any]:
         """Return the content of ``metrics.json``: per metric its value, interval, unit and count.
 
-        ``n_success`` and ``pc_success_ci95``, Wilson's interval in percent, are named as in
-        LeRobot.
+        A metric that applies to no episode has the value None and the count 0. ``n_success`` and
+        ``pc_success_ci95``, Wilson's interval in percent, are named as in LeRobot.
         """
-        info, n_success = self.info, sum(row["success"] for row in self.rows)
+        info, names = self.info, measured(self.rows)
+        n_success = sum(row["success"] for row in self.rows)
         return {
+            "schema": SCHEMA,
             "n": len(self.rows),
             "n_success": n_success,
             "pc_success_ci95": [100 * end for end in wilson(n_success, len(self.rows))],
             "split": info.split,
             "policy": info.policy,
             "capture": info.capture,
-            "metrics": _plain(self.summary),
-            "per_kind": {kind: _plain(summary) for kind, summary in self.by("kind").items()},
+            "metrics": _plain(self.summary, names),
+            "per_kind": {kind: _plain(summary, names) for kind, summary in self.by("kind").items()},
             "recipe": info.recipe,
             "code": info.code,
             "benchmark": info.benchmark,
@@ -282,23 +302,33 @@ def kept_results(folder: Path | None, info: RunInfo) -> Iterator[Results]:
 def read_results(folder: Path) -> Results:
     """Read a result folder.
 
+    A metric in it that is not registered here is left out, with a warning that names it; one that
+    is registered and not in it is missing in the rows.
+
     Raises:
-        ReadError: one sentence that says what is missing or damaged.
+        ReadError: one sentence that says what is missing or damaged, or that the folder is of
+            another schema.
     """
     folder = Path(folder)
-    if missing := [
-        name for name in (METRICS_FILE, EPISODES_FILE, ACTIONS_FILE) if not (folder / name).exists()
-    ]:
+    with reading(folder):
+        files = (METRICS_FILE, EPISODES_FILE, ACTIONS_FILE)
+        missing = [name for name in files if not (folder / name).exists()]
+    if missing:
         raise ReadError(f"{folder} holds no results: {missing[0]} is missing; {REMEDY}")
     head = _read_head(folder / METRICS_FILE)
     rows = _read_rows(folder / EPISODES_FILE)
-    actions = _read_actions(folder / ACTIONS_FILE, rows)
+    seeds, actions = _read_actions(folder / ACTIONS_FILE)
     if not head["n"] == len(rows) == len(actions) > 0:
         counts = (
             f"{METRICS_FILE} {head['n']}, {EPISODES_FILE} {len(rows)}, {ACTIONS_FILE} "
             f"{len(actions)}"
         )
         raise ReadError(f"the files in {folder} disagree on the episodes: {counts}; {REMEDY}")
+    if seeds != [row["seed"] for row in rows]:
+        raise ReadError(
+            f"{folder / ACTIONS_FILE} cannot be read: its seeds are not those of {EPISODES_FILE}"
+        )
+    _check_logs(folder / ACTIONS_FILE, rows, actions)
     info = RunInfo(**{entry.name: head[entry.name] for entry in fields(RunInfo)})
     played = {"benchmark": info.benchmark}
     played |= {name: value for name, value in flat(info.recipe).items() if name in COMPARED}
@@ -316,8 +346,21 @@ def _number(value: Any) -> str:
     return f"{value:g}" if isinstance(value, int | float) else str(value)
 
 
-def _plain(summary: Summary) -> dict[str, dict[str, Any]]:
-    return {name: asdict(estimate) for name, estimate in summary.items()}
+def _plain(summary: Summary, names: Sequence[str]) -> dict[str, dict[str, Any]]:
+    return {name: asdict(summary[name]) for name in names}
+
+
+def _shared(seeds: Sequence[int], others: Sequence[int]) -> list[int]:
+    """Return the places of the ``seeds`` that are among ``others``, each as often as it is there
+    at most.
+    """
+    left = Counter(others)
+    places = []
+    for place, seed in enumerate(seeds):
+        if left[seed]:
+            left[seed] -= 1
+            places.append(place)
+    return places
 
 
 # -- the three files -------------------------------------------------------------------------------
@@ -326,6 +369,7 @@ def _plain(summary: Summary) -> dict[str, dict[str, Any]]:
 def _read_head(path: Path) -> dict[str, Any]:
     with reading(path):
         head = {"extra": {}} | read_object(path)
+        _check_schema(path, head)
         require(head, HEAD_TYPES)
         require(flat(head["recipe"]), dict.fromkeys(field_names(Recipe), object))
         for figures in (head["metrics"], *head["per_kind"].values()):
@@ -338,6 +382,17 @@ def _read_head(path: Path) -> dict[str, Any]:
         return head
 
 
+def _check_schema(path: Path, head: Mapping[str, Any]) -> None:
+    """Raise a ReadError unless a file is of the schema that is read here."""
+    found = head.get("schema")
+    if type(found) is not int or found != SCHEMA:
+        told = f"schema {found!r:.40}" if "schema" in head else "no schema"
+        raise ReadError(
+            f"{path} has {told}, and this version reads schema {SCHEMA}; evaluate again with this "
+            f"version, or read it with the version that wrote it"
+        )
+
+
 def _write_rows(path: Path, rows: Sequence[Row]) -> None:
     import pyarrow as pa
     import pyarrow.json as pj
@@ -345,9 +400,8 @@ def _write_rows(path: Path, rows: Sequence[Row]) -> None:
 
     # arrow takes Python's lists through pandas, whose import takes longer than an episode
     lines = "\n".join(map(json.dumps, rows)).encode()
-    options = pj.ParseOptions(
-        explicit_schema=pa.schema(COLUMNS), unexpected_field_behavior="ignore"
-    )
+    schema = pa.schema(COLUMNS | dict.fromkeys(measured(rows), METRIC_TYPE))
+    options = pj.ParseOptions(explicit_schema=schema, unexpected_field_behavior="ignore")
     pq.write_table(pj.read_json(io.BytesIO(lines), parse_options=options), path, compression="none")
 
 
@@ -355,15 +409,27 @@ def _read_rows(path: Path) -> list[Row]:
     import pyarrow as pa
 
     with reading(path):
-        if (count := (file := open_table(path)).metadata.num_rows) > MOST_EPISODES:
+        file = open_table(path)
+        count = file.metadata.num_rows
+        if count > MOST_EPISODES:
             raise ValueError(f"it has {count} episodes; an evaluation has at most {MOST_EPISODES}")
-        if differing := set(file.schema_arrow) ^ set(pa.schema(COLUMNS)):
-            name = min(field.name for field in differing)
-            raise TypeError(f"its column {name} is missing, surplus or of another type")
-        rows = [{name: row[name] for name in COLUMNS} for row in read_rows(path)]
+        held = {field.name: field for field in file.schema_arrow}
+        columns = COLUMNS | dict.fromkeys(measured([held]), METRIC_TYPE)
+        for column in pa.schema(columns):
+            if held.get(column.name) != column:
+                raise TypeError(f"its column {column.name} is missing or of another type")
+        unknown = sorted(held.keys() - columns.keys())
+        if unknown:
+            warnings.warn(
+                f"{path}: {', '.join(map(printable, unknown))} is no metric that is registered "
+                f"here, and is left out; install the package that registers it to read it",
+                LeftOut,
+                stacklevel=3,
+            )
+        rows = [{name: row[name] for name in columns} for row in read_rows(path, columns)]
         for row in rows:
             if wrong := [
-                name for name, kind in COLUMNS.items() if not _possible(name, kind, row[name])
+                name for name, kind in columns.items() if not _possible(name, kind, row[name])
             ]:
                 raise ValueError(f"it says {wrong[0]} of an episode is {row[wrong[0]]!r:.80}")
         return rows
@@ -372,10 +438,7 @@ def _read_rows(path: Path) -> list[Row]:
 def _possible(name: str, kind: str, value: Any) -> bool:
     """Tell whether an episode could have a value in a column; a metric may lack one."""
     if name in METRICS:
-        (low, high), rate = METRICS[name].bounds, METRICS[name].aggregation == "rate"
-        return value is None or (
-            value in (0.0, 1.0) if rate else low <= value <= min(high, LARGEST)
-        )
+        return value is None or (METRICS[name].admits(value) and value <= LARGEST)
     if value is None:
         return name == "first_localized"
     return kind not in ("double", "int64") or 0 <= value <= LARGEST
@@ -392,8 +455,8 @@ def _write_actions(path: Path, rows: Sequence[Row], actions: Sequence[np.ndarray
         )
 
 
-def _read_actions(path: Path, rows: Sequence[Row]) -> list[np.ndarray]:
-    """Return the (T, 18) actions of all episodes, of which the first are those of ``rows``."""
+def _read_actions(path: Path) -> tuple[list[int], list[np.ndarray]]:
+    """Return the seed and the (T, 18) actions of every episode."""
     with reading(path):
         actions, offsets, seeds = read_arrays(path, ("action", "offsets", "seed")).values()
         if (
@@ -407,19 +470,23 @@ def _read_actions(path: Path, rows: Sequence[Row]) -> list[np.ndarray]:
             )
         steps = np.diff(offsets, prepend=0, append=len(actions))
         if (
-            offsets.shape != (len(seeds) + 1,)
+            seeds.ndim != 1
+            or offsets.shape != (len(seeds) + 1,)
             or offsets.dtype.kind != "i"
             or steps[0]
             or steps[-1]
             or steps.min() < 0
         ):
             raise ValueError("its offsets do not divide its actions among its episodes")
-        if any(row["seed"] != seed for row, seed in zip(rows, seeds.tolist(), strict=False)):
-            raise ValueError(f"its seeds are not those of {EPISODES_FILE}")
-        for row, n_frames in zip(rows, steps[1:-1].tolist(), strict=False):
+        return seeds.tolist(), np.split(actions, offsets[1:-1])
+
+
+def _check_logs(path: Path, rows: Sequence[Row], actions: Sequence[np.ndarray]) -> None:
+    """Raise a ReadError if an episode has fewer actions than its row says it lasted."""
+    with reading(path):
+        for row, log in zip(rows, actions, strict=True):
             for name in ("window_frames", "first_localized"):
-                if (row[name] or 0) >= n_frames:
+                if (row[name] or 0) >= len(log):
                     raise ValueError(
-                        f"seed {row['seed']} has {n_frames} commands, and {name} is {row[name]}"
+                        f"seed {row['seed']} has {len(log)} commands, and {name} is {row[name]}"
                     )
-        return np.split(actions, offsets[1:-1])

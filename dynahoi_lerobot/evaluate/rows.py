@@ -3,7 +3,7 @@ metric; no arrays.
 """
 
 from bisect import bisect_left
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
 from typing import Any
@@ -109,14 +109,26 @@ COLUMNS = (
         "success": "bool",
     }
     | dict.fromkeys(STRATA, "string")
-    | dict.fromkeys(METRICS.names(), "double")
 )
-"""Arrow's type of every column; explicit, because a column may hold nothing but nulls. ``travel_u``
-is in u (0.1 m), ``grasp_rad`` the mean rotation of a joint from the open hand to the reference
-grasp, ``first_localized`` a frame."""
+"""Arrow's type of every column but those of the metrics. ``travel_u`` is in u (0.1 m),
+``grasp_rad`` the mean rotation of a joint from the open hand to the reference grasp,
+``first_localized`` a frame."""
+METRIC_TYPE = "double"
+"""Arrow's type of a metric's column, null where the metric does not apply. Types are explicit,
+because a column may hold nothing but nulls."""
 
 identity = itemgetter("split", "seed", "kind", "object", "length_frames")
 """What two rows have in common if they are runs of the same episode."""
+
+
+def measured(rows: Sequence[Row]) -> list[str]:
+    """Return the names of the registered metrics that some of ``rows`` have, sorted.
+
+    A metric that was registered after an evaluation is missing in its rows; one that was measured
+    and does not apply is None.
+    """
+    held = {name for row in rows for name in row}
+    return [name for name in METRICS.names() if name in held]
 
 
 def episode_row(episode: Episode) -> Row:

@@ -2,10 +2,12 @@
 
 from collections import Counter, defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
+from dynahoi_lerobot.evaluate.compare import compare, verdict
 from dynahoi_lerobot.evaluate.results import CONDITIONS, Results
+from dynahoi_lerobot.evaluate.rows import STRATA
 from dynahoi_lerobot.evaluate.summary import Estimate
 from dynahoi_lerobot.metrics import METRICS
 
@@ -26,6 +28,9 @@ fails."""
 TITLES = ("split", *(name.replace("_", " ") for name in CONDITIONS), "benchmark", "n")
 """Titles of what is said about an evaluation beside its numbers: under others they do not
 compare."""
+
+FEWEST_MARKED = 20
+"""A row of fewer episodes is neither marked as the best nor compared with those that are."""
 
 MOST_COLUMNS = 3
 """So many evaluations stand side by side in a terminal of 100 columns."""
@@ -97,7 +102,10 @@ def results_table(results: Sequence[Results]) -> str:
 def metrics_table(
     labels: Sequence[str], results: Sequence[Results], columns: Sequence[str]
 ) -> Table:
-    """Return a row for each evaluation; the best of those under equal conditions is marked.
+    """Return a row for each evaluation, in which the best value is marked if a test supports it.
+
+    It does if the row is better than every other one under equal conditions, paired by episode,
+    with p below ``SIGNIFICANT``; rows of fewer than ``FEWEST_MARKED`` episodes do not count.
 
     Conditions that all evaluations share are in the caption, so that the metrics fit the page.
     """
@@ -140,9 +148,40 @@ def kind_table(results: Results, caption: str = "") -> Table:
     return Table(caption, ("kind", "n", *map(heading, columns)), rows)
 
 
+def category_table(
+    labels: Sequence[str], results: Sequence[Results], name: str, caption: str = ""
+) -> Table:
+    """Return a row for each evaluation and a column for each category of motion, with one metric.
+
+    The number of episodes is in the title of a column, or in its cells where they differ.
+    """
+    found = [result.by("category") for result in results]
+    categories = STRATA["category"].arrange({label for groups in found for label in groups})
+    head, columns = [], []
+    for category in categories:
+        estimates = [groups[category][name] if category in groups else None for groups in found]
+        counts = {estimate.n for estimate in estimates if estimate is not None}
+        title = category.replace("_", " ")
+        head.append(f"{title}, n = {min(counts)}" if len(counts) == 1 else title)
+        columns.append([_category_cell(estimate, len(counts) > 1) for estimate in estimates])
+    rows = tuple((Cell(label), *cells) for label, *cells in zip(labels, *columns, strict=True))
+    return Table(caption, ("policy", *head), rows)
+
+
+def _category_cell(estimate: Estimate | None, counted: bool) -> Cell:
+    """Return a cell, if ``counted`` with the number of its episodes."""
+    if estimate is None:
+        return Cell("")
+    cell = metric_cell(estimate)
+    return replace(cell, detail=f"{cell.detail} n = {estimate.n}") if counted else cell
+
+
 def columns_for(results: Sequence[Results]) -> tuple[str, ...]:
-    """Return the main columns, led by S_hold if any evaluation uses the capture rule contact."""
-    return ("S_hold",) * any(r.info.capture == "contact" for r in results) + MAIN_COLUMNS
+    """Return the columns of the main table: S_hold, which leads under the capture rule contact, and
+    ``MAIN_COLUMNS``, as far as they apply to any of the evaluations.
+    """
+    applying = {name for result in results for name, found in result.summary.items() if found.n}
+    return tuple(name for name in ("S_hold", *MAIN_COLUMNS) if name in applying)
 
 
 def conditions(result: Results) -> list[str]:
@@ -163,35 +202,46 @@ def heading(name: str) -> str:
 
 
 def metric_cell(estimate: Estimate, mark: str = "") -> Cell:
-    """Return a value and its interval, fractions in per cent; a dash where no episode meets the
-    condition.
+    """Return a value and its interval, fractions in per cent; nothing where the metric applies to
+    no episode.
     """
     if estimate.value is None or estimate.low is None or estimate.high is None:
-        return Cell("-")
+        return Cell("")
     scale, digits = (100, 1) if estimate.unit == "fraction" else (1, 2)
     value, *ends = (
-        f"{scale * end:.{digits}f}" for end in (estimate.value, estimate.low, estimate.high)
+        f"{scale * end:z.{digits}f}" for end in (estimate.value, estimate.low, estimate.high)
     )
     return Cell(value, f"[{', '.join(ends)}]", estimate.value, mark)
 
 
 def _best(results: Sequence[Results], columns: Sequence[str]) -> set[tuple[int, str]]:
-    """Return (row, metric) of the best values among rows under equal conditions, if there are two
-    at least.
+    """Return (row, metric) of the values that a test supports to be the best of rows under equal
+    conditions, see ``metrics_table``.
     """
     groups: dict[tuple[str, ...], list[int]] = defaultdict(list)
     for place, result in enumerate(results):
         groups[tuple(conditions(result)[:-1])].append(place)
     best = set()
     for places, name in product(groups.values(), columns):
-        known = {
-            place: value
-            for place in places
-            if (value := results[place].summary[name].value) is not None
-        }
-        if len(known) > 1:
-            top = (
-                max(known.values()) if METRICS[name].direction == "higher" else min(known.values())
-            )
-            best |= {(place, name) for place, value in known.items() if value == top}
+        ranked = _ranked({place: results[place].summary[name] for place in places}, name)
+        if len(ranked) > 1 and all(
+            _beats(results[ranked[0]], results[other], name) for other in ranked[1:]
+        ):
+            best.add((ranked[0], name))
     return best
+
+
+def _ranked(found: dict[int, Estimate], name: str) -> list[int]:
+    """Return the places of estimates of enough episodes, the best first."""
+    values = {
+        place: estimate.value
+        for place, estimate in found.items()
+        if estimate.value is not None and estimate.n >= FEWEST_MARKED
+    }
+    return sorted(values, key=lambda i: values[i], reverse=METRICS[name].direction == "higher")
+
+
+def _beats(a: Results, b: Results, name: str) -> bool:
+    """Tell whether enough episodes that both played support that A is better than B."""
+    found = compare(a, b, name, allow_version_mismatch=True)
+    return found is not None and found.n >= FEWEST_MARKED and verdict(name, found) == 1

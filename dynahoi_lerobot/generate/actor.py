@@ -73,7 +73,7 @@ def open_policy(path: str, *, trust: bool = False) -> PolicyAgent:
             f"--trust needs a folder as the actor, got {path!r}; download the repository first"
         )
     policy = PolicyAgent(path, "cpu", trust=trust)
-    if policy.environment_state:
+    if policy.environment_state != "":
         raise PolicyError(
             f"{path} reads {ENVIRONMENT_STATE}; an actor sees images and the hand alone"
         )

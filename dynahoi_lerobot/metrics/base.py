@@ -3,6 +3,7 @@ condition.
 """
 
 import inspect
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
@@ -41,14 +42,37 @@ class Metric:
     condition: str = ""
 
     def __call__(self, episode: Episode) -> float | None:
-        """Return the episode's value in ``unit``, or None where the condition does not hold."""
+        """Return the episode's value in ``unit``, or None where the condition does not hold.
+
+        Raises:
+            ValueError: for a value that ``admits`` refuses, which no reader of results would take.
+        """
         value = self.compute(episode)
-        return None if value is None else float(value)
+        if value is None:
+            return None
+        if not self.admits(float(value)):
+            allowed = "0 or 1" if self.aggregation == "rate" else f"within {self.bounds}"
+            raise ValueError(
+                f"metric {self.name} of seed {episode.meta.seed} is {float(value)}, and its "
+                f"decorator says {allowed}; correct the bounds or the formula"
+            )
+        return float(value)
+
+    def admits(self, value: float) -> bool:
+        """Tell whether a value is finite and within the bounds, and of a rate 0 or 1."""
+        low, high = self.bounds
+        possible = low <= value <= high and math.isfinite(value)
+        return possible and (self.aggregation == "mean" or value in (0.0, 1.0))
 
     @property
     def doc(self) -> str:
         """The definition: formula, unit and source."""
         return inspect.cleandoc(self.compute.__doc__ or "")
+
+    @property
+    def summary(self) -> str:
+        """The first paragraph of the definition, in one line."""
+        return " ".join(self.doc.partition("\n\n")[0].split())
 
 
 METRICS: Registry[Metric] = Registry("metric", "dynahoi_lerobot.metrics")

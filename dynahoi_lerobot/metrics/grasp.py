@@ -1,4 +1,8 @@
-"""Whether the hand is in the reference grasp, or holds the target."""
+"""Whether the hand is in the reference grasp, or holds the target.
+
+Under the capture rule ``contact`` the target stops the fingers before they reach the reference
+grasp, so metrics that compare joint angles with it do not apply there, and S_hold does.
+"""
 
 import numpy as np
 
@@ -6,15 +10,25 @@ from dynahoi_lerobot.core import conventions
 from dynahoi_lerobot.core.episode import Episode, in_reference_grasp, joints_reached
 from dynahoi_lerobot.metrics.base import Compute, metric
 
+BY_CONTACT = "contact"
+"""The capture rule that judges a grasp by what touches the target, not by joint angles."""
+BY_POSE = f"capture rules other than {BY_CONTACT}"
+LOCALISED_BY_POSE = f"localised episodes, {BY_POSE}"
+
+
+def judged_by_pose(episode: Episode) -> bool:
+    """Tell whether the episode's capture rule judges a grasp by joint angles."""
+    return episode.meta.capture != BY_CONTACT
+
 
 def grasps_within(episode: Episode, frames: int) -> bool | None:
     """Tell whether all 15 joints match the reference in any of ``frames`` frames, counted from the
     first localised one.
 
-    None if the target is never localised.
+    None if the target is never localised, and under the capture rule contact.
     """
     first = episode.first_localized
-    if first is None:
+    if first is None or not judged_by_pose(episode):
         return None
     reached = joints_reached(
         episode.joints[first : first + frames], episode.open_joints, episode.reference_joints
@@ -23,7 +37,7 @@ def grasps_within(episode: Episode, frames: int) -> bool | None:
 
 
 @metric(
-    "S_gra", unit="fraction", direction="higher", aggregation="rate", condition="localised episodes"
+    "S_gra", unit="fraction", direction="higher", aggregation="rate", condition=LOCALISED_BY_POSE
 )
 def s_gra(episode: Episode) -> bool | None:
     """Grasp success, given localisation: all 15 joints match the reference grasp at the first
@@ -31,7 +45,7 @@ def s_gra(episode: Episode) -> bool | None:
 
     ``S_gra = 1 if for all j: (q_j - open_j) / (ref_j - open_j) >= 0.9, else 0`` with the joint
     angles q at that frame: each joint has turned in the direction of the reference, by at least 0.9
-    of its rotation. None if the target is never localised.
+    of its rotation. None if the target is never localised, and under the capture rule contact.
 
     Fraction of localised episodes, higher is better. Paper: Section "Evaluation metrics" and
     Appendix "Evaluation Criteria".
@@ -48,14 +62,14 @@ WINDOW_S = 0.5
     unit="fraction",
     direction="higher",
     aggregation="rate",
-    condition="localised episodes",
+    condition=LOCALISED_BY_POSE,
 )
 def s_gra_window(episode: Episode) -> bool | None:
     """Grasp success within 0.5 s, given localisation: the test of S_gra on the first localised
     frame and ten more.
 
     ``S_gra_window = 1 if S_gra's condition holds at any t in [t_loc, t_loc + 0.5 s], else 0``; None
-    if the target is never localised.
+    where S_gra is.
 
     Fraction of localised episodes, higher is better. Ours: S_gra judges a single frame, so a hand
     that closes 50 ms late fails it.
@@ -68,51 +82,57 @@ def s_gra_window(episode: Episode) -> bool | None:
     unit="fraction",
     direction="higher",
     aggregation="rate",
-    condition="localised episodes",
+    condition=LOCALISED_BY_POSE,
 )
 def s_gra_two_sided(episode: Episode) -> bool | None:
     """Grasp success, given localisation, with joints neither too open nor too closed.
 
     ``S_gra_two_sided = 1 if for all j: 0.9 <= (q_j - open_j) / (ref_j - open_j) <= 1.2, else 0``
     with the joint angles q at the first localised frame; joints that the reference leaves open do
-    not count. None if the target is never localised.
+    not count. None where S_gra is.
 
     Fraction of localised episodes, higher is better. Ours: a fist passes the paper's S_gra for
     every object.
     """
     first = episode.first_localized
-    if first is None:
+    if first is None or not judged_by_pose(episode):
         return None
     return bool(
         in_reference_grasp(episode.joints[first], episode.open_joints, episode.reference_joints)
     )
 
 
-@metric("S_joint", unit="fraction", direction="higher", aggregation="rate")
-def s_joint(episode: Episode) -> bool:
+@metric("S_joint", unit="fraction", direction="higher", aggregation="rate", condition=BY_POSE)
+def s_joint(episode: Episode) -> bool | None:
     """Joint success: localised, and with joints neither too open nor too closed at the first
     localised frame.
 
     ``S_joint = S_loc * S_gra_two_sided``, over all episodes: the success of the capture rules that
-    weld, and LeRobot's ``next.success`` and ``pc_success`` under them.
+    weld, and LeRobot's ``next.success`` and ``pc_success`` under them. None under the capture rule
+    contact.
 
     Fraction of episodes, higher is better. Ours: like S_joint_paper, but a fist fails it.
     """
-    return bool(s_gra_two_sided(episode))  # None, never localised, is a failure
+    return _over_all_episodes(episode, s_gra_two_sided(episode))
 
 
-@metric("S_joint_paper", unit="fraction", direction="higher", aggregation="rate")
-def s_joint_paper(episode: Episode) -> bool:
+@metric("S_joint_paper", unit="fraction", direction="higher", aggregation="rate", condition=BY_POSE)
+def s_joint_paper(episode: Episode) -> bool | None:
     """Joint success by the paper's grasp: localised, and S_gra's condition holds at the first
     localised frame.
 
-    ``S_joint_paper = S_loc * S_gra``, over all episodes.
+    ``S_joint_paper = S_loc * S_gra``, over all episodes. None under the capture rule contact.
 
     Fraction of episodes, higher is better. Ours: compare the paper's S_gra column with this metric.
     The paper calls its S_gra conditional, yet prints 0.80 % beside S_loc = 10.30 %: of 103
     localised episodes, one is already 0.97 %.
     """
-    return bool(s_gra(episode))  # None, never localised, is a failure
+    return _over_all_episodes(episode, s_gra(episode))
+
+
+def _over_all_episodes(episode: Episode, grasps: float | None) -> bool | None:
+    """Count an episode that never localised as a failure; None where no pose is judged."""
+    return bool(grasps) if judged_by_pose(episode) else None
 
 
 @metric(
@@ -130,7 +150,7 @@ def s_hold(episode: Episode) -> bool | None:
 
     Fraction of episodes under contact, higher is better. Ours.
     """
-    return episode.success if episode.meta.capture == "contact" else None
+    return None if judged_by_pose(episode) else episode.success
 
 
 @metric("E_gra", unit="u", direction="lower", aggregation="mean", bounds=(0.0, float("inf")))
@@ -154,7 +174,9 @@ def per_frame_grasp(setting: str, least: int) -> Compute:
     ``metric``.
     """
 
-    def share(episode: Episode) -> float:
+    def share(episode: Episode) -> float | None:
+        if not judged_by_pose(episode):
+            return None
         reached = joints_reached(
             episode.joints[episode.control], episode.open_joints, episode.reference_joints
         )
@@ -167,7 +189,7 @@ def per_frame_grasp(setting: str, least: int) -> Compute:
     {least} fingers match.
 
     ``grasp_{setting} = mean_t [number of fingers whose three joints all pass the test of
-    S_gra at t >= {least}]``.
+    S_gra at t >= {least}]``. None under the capture rule contact.
 
     Fraction of frames, higher is better. Paper: Figure "Grasp success rate under per-frame
     evaluation".
@@ -176,5 +198,11 @@ def per_frame_grasp(setting: str, least: int) -> Compute:
 
 
 for _setting, _least in FINGERS_AT_LEAST.items():
-    _share = metric(f"grasp_{_setting}", unit="fraction", direction="higher", aggregation="mean")
+    _share = metric(
+        f"grasp_{_setting}",
+        unit="fraction",
+        direction="higher",
+        aggregation="mean",
+        condition=BY_POSE,
+    )
     _share(per_frame_grasp(_setting, _least))

@@ -1,17 +1,31 @@
-"""The evaluations of one report, each with a short unique label and a colour."""
+"""The evaluations of one report, each with a short unique label and a mark of its own."""
 
+import os
 import re
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from dynahoi_lerobot.core.escaping import printable
+from dynahoi_lerobot.core.reading import LeftOut, ReadError
 from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.evaluate.rows import Row, identity
 from dynahoi_lerobot.sampling.salt import refuse_mixed_streams, refuse_to_mix
 
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c6bb1", "#999999")
 """Okabe and Ito's colour-blind safe palette without black and yellow, legible on light and dark."""
+SHAPES: tuple[tuple[str, str, Any, str], ...] = (
+    ("o", "●", "solid", ""),
+    ("s", "■", (0, (5, 1.5)), "///"),
+    ("^", "▲", (0, (1, 1)), "..."),
+    ("D", "◆", (0, (6, 1.5, 1, 1.5)), "xxx"),
+    ("v", "▼", (0, (3, 1, 1, 1, 1, 1)), "---"),
+    ("P", "✚", (0, (9, 3)), "|||"),
+)
+"""Matplotlib's marker, the same as a letter, dashes of lines and hatching of bars: the first for
+the first eight evaluations, and so on."""
 
 LABEL_LENGTH = 40
 
@@ -19,29 +33,44 @@ GENERIC_FOLDERS = {"checkpoints", "last", "pretrained_model", "training"}
 """Folder names of training runs that do not identify the policy."""
 
 
+@dataclass(frozen=True)
+class Mark:
+    """What tells one evaluation from the others in figures, see ``SHAPES``; a colour in hexadecimal
+    RGB.
+    """
+
+    colour: str
+    marker: str
+    letter: str
+    dashes: Any
+    hatch: str
+
+    @classmethod
+    def of(cls, place: int) -> "Mark":
+        """Return the mark of the evaluation in this place, another one for each of the first 48."""
+        shape = SHAPES[place // len(COLOURS) % len(SHAPES)]
+        return cls(COLOURS[place % len(COLOURS)], *shape)
+
+
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """One evaluation of a report: its results, a label unique within the report, and a colour in
-    hexadecimal RGB.
-    """
+    """One evaluation of a report: its results, a label unique within the report, and its mark."""
 
     results: Results
     label: str
-    colour: str
+    mark: Mark
 
 
 def read_entries(folders: Sequence[Path], *, allow_version_mismatch: bool = False) -> list[Entry]:
-    """Read result folders, each once, best S_loc first.
+    """Read result folders, each once, best S_loc first; one that cannot be read is left out, with a
+    warning.
 
     Raises:
-        ReadError: if a folder is missing or damaged.
+        ReadError: if none can be read.
         ValueError: if they are of different salts, or, unless ``allow_version_mismatch``, of
             different versions of the benchmark.
     """
-    results = [
-        read_results(folder)
-        for folder in dict.fromkeys(Path(folder).resolve() for folder in folders)
-    ]
+    results = _readable(folders)
     refuse_mixed_streams((result.folder, result.info.split) for result in results)
     if not allow_version_mismatch:
         found = [(result.folder, result.info.benchmark) for result in results]
@@ -51,9 +80,28 @@ def read_entries(folders: Sequence[Path], *, allow_version_mismatch: bool = Fals
     results.sort(key=lambda result: -(result.summary["S_loc"].value or 0.0))
     labels = unique_labels(results)
     return [
-        Entry(result, label, COLOURS[place % len(COLOURS)])
+        Entry(result, label, Mark.of(place))
         for place, (result, label) in enumerate(zip(results, labels, strict=True))
     ]
+
+
+def _readable(folders: Sequence[Path]) -> list[Results]:
+    """Return the results of the folders that can be read; name the others in warnings."""
+    results: list[Results] = []
+    problems: list[ReadError] = []
+    places: dict[str, str] = {}
+    for folder in folders:
+        places.setdefault(os.path.realpath(folder), os.path.abspath(folder))
+    for place in places.values():
+        try:
+            results.append(read_results(Path(place)))
+        except ReadError as error:
+            problems.append(error)
+    if not results:
+        raise problems[0]
+    for problem in problems:
+        warnings.warn(f"left out: {problem}", LeftOut, stacklevel=3)
+    return results
 
 
 def unique_labels(results: Sequence[Results]) -> list[str]:

@@ -8,7 +8,6 @@ import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,7 +19,7 @@ from dynahoi_lerobot.evaluate.rows import STRATA, Row
 from dynahoi_lerobot.evaluate.summary import Estimate
 from dynahoi_lerobot.evaluate.table import columns_for, heading
 from dynahoi_lerobot.metrics.grasp import FINGERS_AT_LEAST
-from dynahoi_lerobot.report.entries import COLOURS, Entry, clip, distinct_episodes, short_name
+from dynahoi_lerobot.report.entries import COLOURS, Entry, Mark, clip, distinct_episodes, short_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
 WIDTH_IN = 12.0
 """Width of every figure [inch], that of the page's column."""
 PANELS_PER_ROW = 5
+LEGEND_COLUMNS = 4
 INK = "#0a0b0c"
 """Placeholder for the text colour while drawing; in the SVG the page's text colour replaces it."""
 INK_CSS = (
@@ -71,7 +71,7 @@ class ReportFigure:
 
     @property
     def caption(self) -> str:
-        """Caption: what the figure shows, and its counterpart in the paper."""
+        """Caption: what the figure shows."""
         return " ".join(inspect.cleandoc(self.draw.__doc__ or "").replace("``", "").split())
 
     def render(self, entries: Sequence[Entry]) -> str | None:
@@ -133,9 +133,8 @@ def metric_panels(
     """
     names = columns_for([entry.results for entry in entries])
     rows = -(-len(names) // PANELS_PER_ROW)
-    drawing, axes = subplots(
-        rows, min(PANELS_PER_ROW, len(names)), row_height_in * rows + 0.4, **options
-    )
+    height_in = row_height_in * rows + 0.4 + legend_height_in(entries)
+    drawing, axes = subplots(rows, min(PANELS_PER_ROW, len(names)), height_in, **options)
     for unused in axes[len(names) :]:
         unused.remove()
     panels = dict(zip(names, axes, strict=False))
@@ -144,12 +143,34 @@ def metric_panels(
     return drawing, panels
 
 
-def legend(drawing: Figure, entries: Sequence[Entry]) -> None:
-    """Put labels with their colours above the axes."""
+def legend_height_in(entries: Sequence[Entry]) -> float:
+    """Return the height [inch] of a legend's rows beyond the first."""
+    return 0.2 * ((len(entries) - 1) // LEGEND_COLUMNS)
+
+
+def legend(drawing: Figure, entries: Sequence[Entry], *, bars: bool = False) -> None:
+    """Put labels with their marks, those of lines or of ``bars``, above the axes."""
+    from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    handles = [Patch(color=entry.colour, label=entry.label) for entry in entries]
-    drawing.legend(handles=handles, loc="outside upper left", ncols=min(len(entries), 4))
+    handles = [
+        Patch(label=entry.label, **bar_style(entry.mark))
+        if bars
+        else Line2D([], [], label=entry.label, ms=4, **line_style(entry.mark))
+        for entry in entries
+    ]
+    columns = min(len(entries), LEGEND_COLUMNS)
+    drawing.legend(handles=handles, loc="outside upper left", ncols=columns)
+
+
+def line_style(mark: Mark) -> dict[str, Any]:
+    """Return how matplotlib draws a line with points that has a mark."""
+    return {"color": mark.colour, "linestyle": mark.dashes, "marker": mark.marker}
+
+
+def bar_style(mark: Mark) -> dict[str, Any]:
+    """Return how matplotlib draws a bar that has a mark."""
+    return {"facecolor": mark.colour, "hatch": mark.hatch, "edgecolor": INK, "linewidth": 0}
 
 
 def error_bars(estimates: Sequence[Estimate | None]) -> tuple[np.ndarray, np.ndarray]:
@@ -162,13 +183,10 @@ def error_bars(estimates: Sequence[Estimate | None]) -> tuple[np.ndarray, np.nda
     return value, np.stack([value - low, high - value])
 
 
-def points(panel: Axes, x: np.ndarray, estimates: Sequence[Estimate | None], colour: str) -> None:
+def points(panel: Axes, x: np.ndarray, estimates: Sequence[Estimate | None], mark: Mark) -> None:
     """Draw K estimates with their 95 % intervals at (K,) places ``x``, joined by a line."""
     values, errors = error_bars(estimates)
-    line = "-" if len(x) > 1 else "none"
-    panel.errorbar(
-        x, values, errors, fmt="o", ms=4, lw=1.2, linestyle=line, capsize=2, color=colour
-    )
+    panel.errorbar(x, values, errors, ms=4, lw=1.2, capsize=2, **line_style(mark))
 
 
 def stratified(entries: Sequence[Entry], stratum: str) -> Figure | None:
@@ -185,7 +203,7 @@ def stratified(entries: Sequence[Entry], stratum: str) -> Figure | None:
             shift = 0.12 * (place - (len(entries) - 1) / 2) / max(1, len(entries) / 4)
             groups = entry.results.by(stratum)
             estimates = [groups[label][name] if label in groups else None for label in labels]
-            points(panel, np.arange(len(labels)) + shift, estimates, entry.colour)
+            points(panel, np.arange(len(labels)) + shift, estimates, entry.mark)
         panel.set_xticks(range(len(labels)), labels, fontsize=8)
         panel.set_xlim(-0.5, len(labels) - 0.5)
     return drawing
@@ -201,10 +219,11 @@ def main_metrics(entries: Sequence[Entry]) -> Figure:
     An arrow in a title points towards better.
     """
     drawing, panels = metric_panels(entries, 0.8 + 0.26 * len(entries), sharey=True)
-    labels, colours = [entry.label for entry in entries], [entry.colour for entry in entries]
     for name, panel in panels.items():
-        values, errors = error_bars([entry.results.summary[name] for entry in entries])
-        panel.barh(labels, values, xerr=errors, color=colours, height=0.65, **BARS)
+        for entry in entries:
+            value, error = error_bars([entry.results.summary[name]])
+            style = bar_style(entry.mark)
+            panel.barh([entry.label], value, xerr=error, height=0.65, **style, **BARS)
         panel.grid(visible=False, axis="y")
     next(iter(panels.values())).invert_yaxis()
     return drawing
@@ -255,7 +274,7 @@ def failure_stages(entries: Sequence[Entry]) -> Figure:
 
 @figure("per-kind", "Success by kind of motion")
 def per_kind(entries: Sequence[Entry]) -> Figure | None:
-    """S_loc [%] for every kind, kinds of one category side by side.
+    """S_loc [%] for every kind, kinds of one category side by side, with the number of episodes.
 
     Under the capture rule contact a second map shows S_hold. An empty cell was not played.
     """
@@ -269,7 +288,7 @@ def per_kind(entries: Sequence[Entry]) -> Figure | None:
         return None
     contact = [entry for entry in entries if entry.results.info.capture == "contact"]
     maps = {"S_loc": entries, "S_hold": contact} if contact else {"S_loc": entries}
-    heights = [0.36 * len(shown) + 0.2 for shown in maps.values()]
+    heights = [0.44 * len(shown) + 0.2 for shown in maps.values()]
     drawing, axes = subplots(len(maps), 1, sum(heights) + 1.7, sharex=True, height_ratios=heights)
     for panel, (name, shown) in zip(axes, maps.items(), strict=True):
         found = [entry.results.by("kind") for entry in shown]
@@ -277,7 +296,7 @@ def per_kind(entries: Sequence[Entry]) -> Figure | None:
             [by_kind[kind][name] if kind in by_kind else None for kind in kinds]
             for by_kind in found
         ]
-        _heat_map(panel, np.stack([error_bars(row)[0] for row in cells]), name)
+        _heat_map(panel, cells, name)
         panel.set_yticks(range(len(shown)), [entry.label for entry in shown])
         panel.set_xticks(range(len(kinds)), kinds, rotation=45, ha="right", rotation_mode="anchor")
         for separator in np.cumsum([len(group) for group in groups])[:-1]:
@@ -285,25 +304,25 @@ def per_kind(entries: Sequence[Entry]) -> Figure | None:
     return drawing
 
 
-def _heat_map(panel: Axes, grid: np.ndarray, name: str) -> None:
-    """Draw (evaluations, kinds) values [%] as coloured cells with their numbers; nan leaves a cell
-    empty.
+def _heat_map(panel: Axes, cells: Sequence[Sequence[Estimate | None]], name: str) -> None:
+    """Draw estimates of (evaluations, kinds) as coloured cells with value [%] and n; one without
+    episodes is empty.
     """
+    grid = np.stack([error_bars(row)[0] for row in cells])
     panel.imshow(grid, cmap="viridis", vmin=0, vmax=100, aspect="auto")
     for (row, column), value in np.ndenumerate(grid):
-        if not np.isnan(value):
-            colour = "black" if value > 60 else "white"
-            panel.text(
-                column, row, f"{value:.0f}", ha="center", va="center", color=colour, fontsize=8
-            )
+        found = cells[row][column]
+        if found is not None and found.n:
+            style: dict[str, Any] = {"color": "black" if value > 60 else "white", "ha": "center"}
+            panel.text(column, row, f"{value:.0f}", va="bottom", fontsize=8, **style)
+            panel.text(column, row + 0.05, f"n={found.n}", va="top", fontsize=6, **style)
     panel.set_title(f"{name} [%]", loc="left")
     panel.grid(visible=False)
 
 
 @figure("periodicity", "Success by periodicity")
 def by_periodicity(entries: Sequence[Entry]) -> Figure | None:
-    """The metrics by periodicity (Figures "Periodicity-stratified performance" and "All
-    periodicity-stratified").
+    """The metrics by periodicity.
 
     Circular arcs are circular; harmonic motions and pendulums are periodic; lines, projectiles,
     rolling and impacts are linear; hybrid motions mix these and stand alone.
@@ -313,19 +332,13 @@ def by_periodicity(entries: Sequence[Entry]) -> Figure | None:
 
 @figure("duration", "Success by duration")
 def by_duration(entries: Sequence[Entry]) -> Figure | None:
-    """The metrics by the length of the recording [frames] (Figure "Length-stratified performance").
-
-    The bins are those of Figure "Data statistics", c.
-    """
+    """The metrics by the length of the recording [frames]."""
     return stratified(entries, "duration")
 
 
 @figure("travel", "Success by travel")
 def by_travel(entries: Sequence[Entry]) -> Figure | None:
-    """The metrics by the straight distance from palm to intercept [u = 0.1 m].
-
-    Figure "Length-stratified performance"; the bins are those of Figure "Data statistics", d.
-    """
+    """The metrics by the straight distance from palm to intercept [u = 0.1 m]."""
     return stratified(entries, "travel")
 
 
@@ -334,42 +347,44 @@ def time_to_catch(entries: Sequence[Entry]) -> Figure:
     """The share of episodes in which the target has been localised by a time after the control
     start [s].
     """
-    drawing, (panel,) = subplots(1, 1, 3.0)
+    drawing, (panel,) = subplots(1, 1, 3.0 + legend_height_in(entries))
     for entry in entries:
         rows = entry.results.rows
         hits = [row for row in rows if row["first_localized"] is not None]
         waits = [(row["first_localized"] - row["window_frames"]) * CONTROL_DT for row in hits]
         share = 100 * np.arange(len(waits) + 1) / len(rows)
         longest = max(row["length_frames"] for row in rows) * CONTROL_DT
-        panel.step(
-            [0, *sorted(waits), longest], [*share, share[-1]], where="post", color=entry.colour
-        )
+        times, shares = [0, *sorted(waits), longest], [*share, share[-1]]
+        style = line_style(entry.mark) | {"markevery": 0.1, "ms": 4}
+        panel.step(times, shares, where="post", **style)
     panel.set(xlabel="time since the control start [s]", ylabel="localised [%]", ylim=(0, 100))
     legend(drawing, entries)
     return drawing
 
 
 @figure("per-frame-grasp", "Grasp, frame by frame")
-def per_frame_grasp(entries: Sequence[Entry]) -> Figure:
+def per_frame_grasp(entries: Sequence[Entry]) -> Figure | None:
     """The share of control frames in which at least 3, 4 or 5 fingers are at the reference grasp.
 
-    Figure "Grasp success rate under per-frame evaluation". The hand should be open as it
-    approaches, so 100 % is not the aim.
+    The hand should be open as it approaches, so 100 % is not the aim. Under the capture rule
+    contact the target stops the fingers earlier, so it is not shown.
     """
-    drawing, (panel,) = subplots(1, 1, 3.0)
-    width = 0.8 / len(entries)
-    for place, entry in enumerate(entries):
-        values, errors = error_bars(
-            [entry.results.summary[f"grasp_{setting}"] for setting in FINGERS_AT_LEAST]
-        )
-        x = np.arange(len(values)) + (place - (len(entries) - 1) / 2) * width
-        panel.bar(x, values, 0.9 * width, yerr=errors, color=entry.colour, **BARS)
+    names = [f"grasp_{setting}" for setting in FINGERS_AT_LEAST]
+    shown = [entry for entry in entries if entry.results.summary[names[0]].n]
+    if not shown:
+        return None
+    drawing, (panel,) = subplots(1, 1, 3.0 + legend_height_in(shown))
+    width = 0.8 / len(shown)
+    for place, entry in enumerate(shown):
+        values, errors = error_bars([entry.results.summary[name] for name in names])
+        x = np.arange(len(values)) + (place - (len(shown) - 1) / 2) * width
+        panel.bar(x, values, 0.9 * width, yerr=errors, **bar_style(entry.mark), **BARS)
     panel.set_xticks(
         range(3), [f"{setting}\n≥ {n} fingers" for setting, n in FINGERS_AT_LEAST.items()]
     )
     panel.set_ylabel("frames [%]")
     panel.grid(visible=False, axis="x")
-    legend(drawing, entries)
+    legend(drawing, shown, bars=True)
     return drawing
 
 
@@ -405,15 +420,15 @@ def latency(entries: Sequence[Entry]) -> Figure | None:
         rules = (short_name(info.policy), info.split, info.capture, control_class)
         lines.setdefault(", ".join(rules), []).append(entry)
     titles = [
-        Entry(line[0].results, clip(label), colour)
-        for (label, line), colour in zip(lines.items(), cycle(COLOURS), strict=False)
+        Entry(line[0].results, clip(label), Mark.of(place))
+        for place, (label, line) in enumerate(lines.items())
     ]
     drawing, panels = metric_panels([entry for line in lines.values() for entry in line], 2.0)
     legend(drawing, titles)
     for name, panel in panels.items():
         for title, line in zip(titles, lines.values(), strict=True):
             places = np.array([known[entry.label] for entry in line])
-            points(panel, places, [entry.results.summary[name] for entry in line], title.colour)
+            points(panel, places, [entry.results.summary[name] for entry in line], title.mark)
         panel.set_xlabel("latency of an inference [ms]")
     return drawing
 
@@ -429,8 +444,7 @@ PAPER_TRAVEL = {"0-0.5": 20.1, "0.5-2": 47.7, "2-4": 16.4, ">4": 5.8}
 def data_statistics(entries: Sequence[Entry]) -> Figure:
     """The durations and travels of the distinct episodes of all evaluations.
 
-    Figure "Data statistics" c and d; a diamond marks the share that the paper's text reports for
-    its own data.
+    A diamond marks the share that the paper's text reports for its own data.
     """
     rows = distinct_episodes(entries)
     drawing, (durations, travels) = subplots(1, 2, 3.0)
@@ -479,7 +493,7 @@ def overlay(panel: Axes, samples: Sequence[np.ndarray], entries: Sequence[Entry]
     edges = np.linspace(-reach, reach, HISTOGRAM_BINS + 1)
     for sample, entry in zip(samples, entries, strict=True):
         share = 100 * np.histogram(sample, edges)[0] / max(1, sample.size)
-        panel.stairs(share, edges, color=entry.colour, lw=1.2)
+        panel.stairs(share, edges, color=entry.mark.colour, linestyle=entry.mark.dashes, lw=1.2)
     panel.set_yscale("log")
     panel.yaxis.set_major_formatter("{x:g}")
     panel.minorticks_off()
@@ -489,10 +503,8 @@ def overlay(panel: Axes, samples: Sequence[np.ndarray], entries: Sequence[Entry]
 def joint_deltas(entries: Sequence[Entry]) -> Figure:
     """Frame-to-frame change of the 15 commanded joint angles [deg], control phase, share of frames
     [%].
-
-    Figure "Distribution of 15-DoF joint rotation deltas".
     """
-    drawing, axes = subplots(3, 5, 5.4, sharex=True, sharey=True)
+    drawing, axes = subplots(3, 5, 5.4 + legend_height_in(entries), sharex=True, sharey=True)
     deltas = [
         np.rad2deg(command_deltas(entry.results)[:, PALM_DOF:]) for entry in entries
     ]  # (K, 15) [deg]
@@ -511,10 +523,8 @@ def joint_deltas(entries: Sequence[Entry]) -> Figure:
 def palm_displacements(entries: Sequence[Entry]) -> Figure:
     """Frame-to-frame change of the commanded palm position [mm] along x, y and z, control phase,
     share of frames [%].
-
-    Figure "Distribution of 3D Cartesian displacements".
     """
-    drawing, axes = subplots(1, 3, 2.6, sharey=True)
+    drawing, axes = subplots(1, 3, 2.6 + legend_height_in(entries), sharey=True)
     deltas = [
         1000 * command_deltas(entry.results)[:, :PALM_DOF] for entry in entries
     ]  # (K, 3) [mm]

@@ -15,22 +15,16 @@ from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.core.reading import ReadError, inside, read_bytes
 from dynahoi_lerobot.evaluate import table
 from dynahoi_lerobot.evaluate.compare import COMMANDS, CROSSABLE, compare, unequal_conditions
+from dynahoi_lerobot.evaluate.results import RunInfo
 from dynahoi_lerobot.evaluate.table import Cell, Table
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.report import figures
+from dynahoi_lerobot.report.comparisons import comparison_tables
 from dynahoi_lerobot.report.entries import Entry, distinct_episodes, read_entries
+from dynahoi_lerobot.report.export import category_tables, write_csv, write_latex
 
 FILE_NAME = "report.html"
 
-COMPARED = {
-    **{
-        name: f"{table.heading(name)}: row minus column."
-        for name in ("S_hold", "S_loc", "S_joint", "E_loc")
-    },
-    COMMANDS: "Mean distance of the palm positions that they commanded in the same frames [cm].",
-}
-"""What paired evaluations are compared by, with the captions; metrics without pairs are omitted."""
-SIGNIFICANT = 0.05
 MOST_CLIPS = 12
 """Clips shown per folder, the first by name; more would make the page too large."""
 LARGEST_CLIP_BYTES = 5_000_000
@@ -49,12 +43,18 @@ class Options:
         choices=CROSSABLE,
     )
     out: Path = option(Path("report.html"), "output file")
+    csv: Path | None = option(None, "also write every number of the tables as CSV", metavar="FILE")
+    latex: Path | None = option(None, "also write the tables as LaTeX", metavar="FILE")
 
 
 def run(options: Options) -> int:
-    """Write the page and print the tables; return the exit code."""
+    """Write the page and the files for a paper, and print the tables; return the exit code."""
     entries = read_entries(options.folders, allow_version_mismatch=options.allow_version_mismatch)
     page = write_page(entries, options.out, options.across)
+    if options.csv:
+        write_csv(entries, options.csv, options.across)
+    if options.latex:
+        write_latex(entries, options.latex, options.across)
     print(table.results_table([entry.results for entry in entries]))
     pairs = list(combinations(entries, 2))
     for name in CROSSABLE:
@@ -89,7 +89,8 @@ def render_report(
     """Write the report of ``folders`` as one self-contained HTML page.
 
     Args:
-        folders: result folders; duplicates count once.
+        folders: result folders; duplicates count once, and one that cannot be read is left out,
+            with a warning that says why.
         out: the file to write, or an existing folder in which ``report.html`` is written.
         across: conditions under which paired evaluations may differ, of ``CROSSABLE``.
         allow_version_mismatch: accept results of different benchmark versions.
@@ -98,7 +99,7 @@ def render_report(
         The path of the page.
 
     Raises:
-        ReadError: if a folder is missing or damaged.
+        ReadError: if none of the folders can be read.
         ValueError: if no folder is given, or for different versions of the benchmark, unless that
             is allowed.
     """
@@ -134,10 +135,14 @@ def page_content(entries: Sequence[Entry], across: Collection[str] = ()) -> dict
         "episodes": len(distinct_episodes(entries)),
         "main_metrics": table.metrics_table(labels, results, main),
         "other_metrics": table.metrics_table(labels, results, other),
+        "fewest_marked": table.FEWEST_MARKED,
+        "defined": {name: METRICS[name].summary for name in main},
+        "categories": category_tables(entries),
         "comparisons": comparison_tables(entries, across),
         "figures": [(figure, address) for figure, address in drawn if address],
         "per_kind": [table.kind_table(entry.results, entry.label) for entry in entries],
         "glossary": glossary(),
+        "facts": [facts(entry.results.info) for entry in entries],
         "clips": [(label, shown, left_out) for label, shown, left_out in clips if shown],
     }
 
@@ -156,7 +161,7 @@ def glossary() -> Table:
                     metric.unit,
                     arrows[metric.direction],
                     metric.condition or "all",
-                    metric.doc,
+                    metric.doc.replace("``", ""),
                 ),
             )
         )
@@ -167,40 +172,25 @@ def glossary() -> Table:
     )
 
 
-def comparison_tables(entries: Sequence[Entry], across: Collection[str] = ()) -> list[Table]:
-    """Return a matrix for each of ``COMPARED`` on the episodes that row and column both played.
-
-    Only evaluations under equal conditions are paired, except for those that are compared,
-    ``across``.
+def facts(info: RunInfo) -> dict[str, str]:
+    """Return the recipe of an evaluation and what ``RunInfo.extra`` tells of it, in words; nothing
+    of what is empty.
     """
-    tables = []
-    for name, caption in COMPARED.items():
-        cells = [[_compared(row, column, name, across) for column in entries] for row in entries]
-        if any(cell.key is not None for line in cells for cell in line):
-            rows = tuple(
-                (Cell(entry.label), *line) for entry, line in zip(entries, cells, strict=True)
-            )
-            tables.append(
-                Table(caption, ("row, column", *(entry.label for entry in entries)), rows)
-            )
-    return tables
+    told = {"recipe": info.recipe} | info.extra
+    words = {key: in_words(value) for key, value in told.items()}
+    return {key: text for key, text in words.items() if text}
 
 
-def _compared(row: Entry, column: Entry, name: str, across: Collection[str]) -> Cell:
-    if unequal := unequal_conditions(row.results, column.results, across):
-        return Cell("–", f"other {' and '.join(unequal)}")
-    result = compare(row.results, column.results, name, across=across, allow_version_mismatch=True)
-    if row is column or result is None:
-        return Cell("–")
-    cell = table.metric_cell(result)
-    if result.p_value is None:
-        return Cell(cell.text, f"{cell.detail} n = {result.n}", cell.key)
-    p_value = "p < 0.001" if result.p_value < 0.001 else f"p = {result.p_value:.3f}"
-    better = (result.value > 0) == (METRICS[name].direction == "higher")
-    mark = (
-        ("better" if better else "worse") if result.p_value < SIGNIFICANT and result.value else ""
-    )
-    return Cell(cell.text, f"{cell.detail} {p_value}, n = {result.n}", cell.key, mark)
+def in_words(value: Any) -> str:
+    """Return a JSON value as ``name value`` pairs or a list, without quotes; empty for nothing."""
+    if isinstance(value, dict):
+        told = {key: in_words(item) for key, item in value.items()}
+        return ", ".join(f"{key} {text}" for key, text in told.items() if text)
+    if isinstance(value, list | tuple):
+        return ", ".join(map(in_words, value))
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return "" if value is None else str(value)
 
 
 def clips_of(folder: Path) -> tuple[list[tuple[str, str]], int]:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.cli.main import exit_code
-from dynahoi_lerobot.core.escaping import Terminal
+from dynahoi_lerobot.core.escaping import Terminal, latex
 from dynahoi_lerobot.dataset.card import histogram_svg, markdown_template
 
 HOSTILE = "\x1b[2J\r\u202e</text><script>x</script> | [click](http://x) `code`\n# heading"
@@ -40,3 +40,10 @@ def test_cards_and_drawings_hold_text_as_text() -> None:
     assert "[click](" not in card.replace("\\[", "")
     drawing = ElementTree.fromstring(histogram_svg(np.zeros((3, 1)), ["</text><script>x</script>"]))
     assert "script" not in {element.tag.partition("}")[2] for element in drawing.iter()}
+
+
+def test_latex_typesets_every_sign_as_it_is() -> None:
+    assert latex("\\input{x} 5 % & #1 $a_b^c$ ~") == (
+        r"\textbackslash{}input\{x\} 5 \% \& \#1 \$a\_b\textasciicircum{}c\$ \textasciitilde{}"
+    )
+    assert "\n" not in latex(HOSTILE), "a comment ends with its line"

@@ -101,6 +101,17 @@ def test_lerobots_loop_and_ours_give_the_same_rows(tmp_path: Path, monkeypatch: 
     ]
 
 
+def test_rows_lie_in_the_order_of_the_split_though_lerobot_plays_kind_by_kind(
+    act: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    options = ("--env.task=lob,constant", "--env.split=val", "--eval.n_episodes=4")
+    found = through_lerobot(act, tmp_path, monkeypatch, *options)
+    seeds = [row["seed"] for row in found.rows]
+    assert seeds == sorted(seeds)
+    kinds = [row["kind"] for row in found.rows]
+    assert kinds == ["constant", "lob"] * 4, "kinds take turns in the split"
+
+
 @pytest.mark.parametrize(
     "option", [{"renderer": "tilez"}, {"hand": "claw"}, {"max_parallel_tasks": 2}]
 )

@@ -82,6 +82,20 @@ def test_a_catch_ends_the_episode_with_reward_success_and_every_metric() -> None
         }
         assert info["S_loc"][world] == info["S_gra"][world] == 1.0
         assert sum(r[1][world] for r in results) == 1.0
+        for name in METRICS.names():
+            np.testing.assert_array_equal(info["_" + name], ~np.isnan(info[name]))
+
+
+def test_the_mask_of_a_metric_is_false_where_it_does_not_apply() -> None:
+    env = DynahoiVectorEnv(2, kind="constant", **BLIND, capture="contact")
+    env.reset(seed=[0, 1], options={"lerobot_new_rollout": True})
+    ended = np.zeros(2, bool)
+    while not ended.all():
+        _, _, terminated, truncated, info = env.step(np.zeros((2, 18), np.float32))
+        for world in np.flatnonzero((terminated | truncated) & ~ended):
+            assert np.isnan(info["S_joint"][world])
+            assert (info["_S_joint"][world], info["_S_hold"][world]) == (False, True)
+        ended |= terminated | truncated
 
 
 def test_the_single_envs_info_is_json() -> None:

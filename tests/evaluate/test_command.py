@@ -3,9 +3,11 @@ interrupted.
 """
 
 import errno
+import json
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from dynahoi_lerobot.cli.main import main
@@ -63,6 +65,50 @@ def test_a_full_disk_is_one_sentence_and_the_run_resumes(tmp_path, monkeypatch, 
     assert calls == [2, 4, 4]
     assert sorted(row["seed"] for row in read_results(tmp_path).rows) == [0, 1, 2, 3]
     assert not list(tmp_path.glob(".*.part"))
+
+
+def test_rows_lie_in_the_order_of_the_split_whoever_plays_and_whatever_is_interrupted(
+    tmp_path: Path, monkeypatch
+):
+    """Seven episodes in worlds of different sizes end in another order for each policy."""
+    words = ["evaluate", "--episodes", "7", "--image-size", "0"]
+    for policy in ("pursuit", "expert"):
+        out = tmp_path / policy
+        assert main([*words, "--policy", policy, "--batch-size", "3", "--out", str(out)]) == 0
+    write = Results.write
+
+    def killed(results: Results) -> None:
+        write(results)
+        raise KeyboardInterrupt
+
+    resumed = [*words, "--policy", "pursuit", "--batch-size", "4", "--out", str(tmp_path / "part")]
+    with monkeypatch.context() as patch:
+        patch.setattr(Results, "write", killed)
+        assert main(resumed) == 130
+    assert main(resumed) == 0
+    for name in ("pursuit", "expert", "part"):
+        seeds = pq.read_table(tmp_path / name / "episodes.parquet")["seed"].to_pylist()
+        assert seeds == list(range(7))
+        with np.load(tmp_path / name / "actions.npz") as archive:
+            assert archive["seed"].tolist() == seeds
+    assert read_results(tmp_path / "part").rows == read_results(tmp_path / "pursuit").rows
+
+
+def test_clips_are_of_the_first_episodes_of_the_split_whichever_end_first(tmp_path: Path):
+    words = ["evaluate", "--policy", "hold", "--episodes", "5", "--image-size", "32"]
+    words += ["--gifs", "2", "--motions", "random_spline,constant", "--out", str(tmp_path)]
+    assert main(words) == 0
+    seeds = {path.stem.rpartition("_")[2] for path in tmp_path.glob("*.gif")}
+    assert seeds == {"0", "1"}
+
+
+def test_what_is_played_by_another_control_mode_is_stored_as_a_word(tmp_path: Path):
+    out = tmp_path / "grasp"
+    words = [*HOLD, "--control-mode", "grasp", "--image-size", "0", "--out", str(out)]
+    assert main(words) == 0
+    head = json.loads((out / "metrics.json").read_text())
+    assert head["recipe"]["rules"]["control_mode"] == "grasp"
+    assert main(["evaluate", "--replay", str(out)]) == 0
 
 
 def test_a_policy_that_samples_gives_the_same_rows_when_it_is_interrupted(

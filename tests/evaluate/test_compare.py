@@ -2,6 +2,8 @@
 conditions.
 """
 
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ from dynahoi_lerobot.core.registry import UnknownNameError
 from dynahoi_lerobot.evaluate.compare import (
     COMMANDS,
     CROSSABLE,
+    Comparison,
     compare,
     mcnemar,
     paired_values,
@@ -115,6 +118,55 @@ def test_a_seed_alone_does_not_make_a_pair_and_an_unknown_metric_is_named():
 def split_digits(salt: str) -> str:
     """What names the stream of a salt."""
     return stream_label("", salt).removeprefix("+")
+
+
+def assert_opposite(found: Comparison, turned: Comparison) -> None:
+    """The one is exactly the other, with the two evaluations exchanged."""
+    assert (found.value, found.low, found.high) == (-turned.value, -turned.high, -turned.low)
+    assert (found.p_value, found.n, found.unit) == (turned.p_value, turned.n, turned.unit)
+    for number in (found.value, found.low, found.high):
+        assert math.copysign(1.0, number) == 1.0 or number < 0, "no -0.0"
+
+
+def drawn_pairs(metric: str, rng: np.random.Generator) -> tuple[Results, Results]:
+    """Two evaluations of one name with overlapping episodes, ties, gaps and skewed values."""
+    values = [
+        rng.integers(2, size=30).astype(float) if metric[0] == "S" else rng.exponential(1.0, 30)
+        for _ in range(2)
+    ]
+    lists = [list(part) for part in values]
+    lists[1][:5] = lists[0][:5]
+    lists[0][7] = lists[1][9] = None
+    return results(lists[0], metric), results(lists[1], metric, first_seed=3)
+
+
+@pytest.mark.parametrize("metric", ["S_loc", "S_gra", "E_loc", "R_time"])
+def test_a_comparison_is_exactly_the_opposite_of_the_reverse(metric: str):
+    for seed in range(12):
+        a, b = drawn_pairs(metric, np.random.default_rng(seed))
+        backwards = replace(b, rows=b.rows[::-1], actions=b.actions[::-1])
+        repeated = replace(a, rows=(*a.rows, a.rows[4] | {metric: 1.0}))
+        for one in (a, repeated):
+            for other in (b, backwards):
+                assert_opposite(compare(one, other, metric), compare(other, one, metric))
+        assert compare(a, b, metric) == compare(a, backwards, metric)
+
+
+@pytest.mark.parametrize("values", [[-1.0, 0.0, 1.0], [2.0, -2.0] * 9, [0.0] * 4])
+def test_symmetric_differences_are_opposite_too(values: list):
+    a, b = results(values, "E_loc"), results([0.0] * len(values), "E_loc")
+    assert_opposite(compare(a, b, "E_loc"), compare(b, a, "E_loc"))
+
+
+def test_commands_are_as_far_apart_from_either_side():
+    a, b = results([1.0] * 9), results([1.0] * 9)
+    for place, actions in enumerate(b.actions):
+        actions[:, 0] += 0.01 * place**2
+    assert compare(a, b, COMMANDS) == compare(b, a, COMMANDS)
+
+
+def test_a_metric_that_one_evaluation_did_not_measure_is_not_compared():
+    assert compare(results([1.0], "S_gra"), results([1.0]), "S_loc") is None
 
 
 @pytest.mark.parametrize(

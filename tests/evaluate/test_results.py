@@ -13,15 +13,30 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from dynahoi_lerobot.core.reading import ReadError
-from dynahoi_lerobot.evaluate.results import Results, command_line, read_results
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.reading import LeftOut, ReadError
+from dynahoi_lerobot.evaluate.compare import compare
+from dynahoi_lerobot.evaluate.replay_results import check_results
+from dynahoi_lerobot.evaluate.results import (
+    SCHEMA,
+    Results,
+    command_line,
+    kept_results,
+    read_results,
+)
 from dynahoi_lerobot.evaluate.summary import wilson
-from dynahoi_lerobot.metrics import METRICS
+from dynahoi_lerobot.evaluate.table import columns_for
+from dynahoi_lerobot.metrics import METRICS, Metric
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK_ID
+from dynahoi_lerobot.sampling.recipe import Recipe
 from tests.evaluate.test_replay_results import set_head
 from tests.synthetic import run_info, synthetic_episode, write_results
+from tests.tools import edit_json
 
 INFO = run_info(extra={"n_obs_frames": 5})
+
+
+EMPTY = {"value": None, "low": None, "high": None, "unit": "fraction", "n": 0}
 
 
 def episodes(count: int = 6):
@@ -49,13 +64,8 @@ def test_the_files_are_as_documented(folder: Path):
     expected = {"value": pytest.approx(4 / 6), "low": low, "high": high, "unit": "fraction", "n": 6}
     assert head["metrics"]["S_loc"] == expected
     assert head["metrics"]["S_gra"]["n"] == 4
-    assert head["metrics"]["S_hold"] == {
-        "value": None,
-        "low": None,
-        "high": None,
-        "unit": "fraction",
-        "n": 0,
-    }
+    assert head["schema"] == SCHEMA
+    assert head["metrics"]["S_hold"] == EMPTY
     assert {kind: metrics["S_loc"]["n"] for kind, metrics in head["per_kind"].items()} == {
         "constant": 3,
         "lob": 3,
@@ -96,6 +106,165 @@ def test_an_interrupted_run_resumes_whichever_files_it_had_renamed(
     whole = write_results(tmp_path / "whole", episodes(), INFO)
     assert read_results(part).rows == whole.rows
     assert all(map(np.array_equal, read_results(part).actions, whole.actions))
+
+
+def shuffled(count: int, seed: int) -> list[Episode]:
+    """Episodes in the order in which some policy happened to finish them."""
+    played = list(episodes(count))
+    return [played[i] for i in np.random.default_rng(seed).permutation(count)]
+
+
+def test_episodes_lie_in_the_order_of_the_split_in_whichever_order_they_end(tmp_path: Path):
+    files = {}
+    for seed in range(3):
+        played = shuffled(9, seed)
+        results = Results(tmp_path / str(seed), INFO)
+        for episode in played[:4]:
+            results = results.plus([episode])
+        results.write()
+        results = Results.resumed(tmp_path / str(seed), INFO).plus(played[4:])
+        results.write()
+        assert [row["seed"] for row in results.rows] == list(range(9))
+        table = pq.read_table(tmp_path / str(seed) / "episodes.parquet")
+        assert table["seed"].to_pylist() == list(range(9))
+        files[seed] = [
+            (tmp_path / str(seed) / name).read_bytes()
+            for name in ("episodes.parquet", "actions.npz", "metrics.json")
+        ]
+    assert files[0] == files[1] == files[2]
+    read = read_results(tmp_path / "0")
+    for episode, actions in zip(episodes(9), read.actions, strict=True):
+        np.testing.assert_array_equal(actions, episode.action)
+
+
+@pytest.mark.parametrize("ahead", ["episodes.parquet", "actions.npz"])
+def test_a_run_that_ended_between_two_files_goes_on_from_the_episodes_that_both_hold(
+    tmp_path: Path, ahead: str
+):
+    """The file that is ahead has episodes in the middle that the other lacks."""
+    played = list(episodes(9))
+    write_results(tmp_path / "part", [played[i] for i in (1, 4, 8)], INFO)
+    write_results(tmp_path / "more", [played[i] for i in (0, 1, 3, 4, 6, 8)], INFO)
+    shutil.copy(tmp_path / "more" / ahead, tmp_path / "part" / ahead)
+    resumed = Results.resumed(tmp_path / "part", INFO)
+    assert [row["seed"] for row in resumed.rows] == [1, 4, 8]
+    for row, actions in zip(resumed.rows, resumed.actions, strict=True):
+        np.testing.assert_array_equal(actions, played[row["seed"]].action)
+    resumed.plus([played[i] for i in (0, 2, 3, 5, 6, 7)]).write()
+    whole = write_results(tmp_path / "whole", played, INFO)
+    assert read_results(tmp_path / "part").rows == whole.rows
+
+
+def test_metrics_that_do_not_apply_are_null(tmp_path: Path):
+    contact = [
+        replace(episode, meta=replace(episode.meta, capture="contact")) for episode in episodes(3)
+    ]
+    folder = tmp_path / "contact"
+    write_results(folder, contact, run_info(capture="contact"))
+    head = json.loads((folder / "metrics.json").read_text())
+    table = pq.read_table(folder / "episodes.parquet")
+    for name in ("S_joint", "S_joint_paper", "S_gra", "grasp_strict"):
+        assert head["metrics"][name] == EMPTY
+        assert table[name].to_pylist() == [None] * 3
+    assert None not in table["S_hold"].to_pylist()
+    assert read_results(folder).rows[0]["S_joint"] is None
+
+
+# -- metrics that come and go ----------------------------------------------------------------------
+
+
+def registered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Register a metric of somebody else."""
+    own = Metric("V_palm", lambda _: 0.25, "m/s", "lower", "mean", (0.0, 2.0))
+    monkeypatch.setitem(METRICS._entries, "V_palm", own)
+
+
+def test_a_metric_of_ones_own_is_stored_and_older_results_stay_readable(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+):
+    before = read_results(folder)
+    registered(monkeypatch)
+    older = read_results(folder)
+    assert older.rows == before.rows
+    assert "V_palm" not in older.rows[0], "what was not measured is missing"
+    assert older.summary["V_palm"].n == 0
+    assert "V_palm" not in older.as_json()["metrics"]
+    newer = write_results(folder.parent / "newer", episodes(), INFO)
+    assert {row["V_palm"] for row in read_results(newer.folder).rows} == {0.25}
+    assert compare(older, newer, "V_palm") is None
+    assert compare(older, newer, "S_loc").n == 6
+    assert columns_for([older, newer]) == columns_for([before])
+
+
+def test_results_stay_readable_when_the_package_of_a_metric_is_removed(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+):
+    with monkeypatch.context() as installed:
+        registered(installed)
+        newer = write_results(folder.parent / "newer", episodes(), INFO)
+    with pytest.warns(LeftOut, match=r"newer/episodes\.parquet: V_palm"):
+        found = read_results(newer.folder)
+    assert found.rows == read_results(folder).rows
+    assert list(check_sums(found)) == []
+
+
+def check_sums(results: Results) -> list[str]:
+    """Return what a replay finds in the sums of ``metrics.json``."""
+    told = check_results(results, Recipe(split="test"))
+    return [finding for finding in told if finding.startswith(("metrics", "per_kind"))]
+
+
+def test_results_from_before_a_metric_was_registered_replay(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+):
+    registered(monkeypatch)
+    older = read_results(folder)
+    assert check_sums(older) == []
+    missing = dict(older.head["metrics"])
+    del missing["E_loc"]
+    forged = replace(older, head=older.head | {"metrics": missing})
+    assert check_sums(forged) == ["metrics.E_loc is in the episodes alone"]
+
+
+# -- the schema ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("schema", [SCHEMA + 1, 0, "1", 1.5, True, None])
+def test_another_schema_is_refused_by_a_sentence_that_names_both(folder: Path, schema):
+    set_head(schema=schema)(folder)
+    with pytest.raises(ReadError, match="schema") as refused:
+        read_results(folder)
+    assert f"schema {schema!r}" in str(refused.value)
+    assert f"reads schema {SCHEMA}" in str(refused.value)
+    assert "evaluate again" in str(refused.value)
+
+
+def test_results_from_before_schemas_are_refused_and_not_resumed(folder: Path):
+    edit_json(folder / "metrics.json", lambda head: head.pop("schema"))
+    with pytest.raises(ReadError, match=rf"no schema.*schema {SCHEMA}"):
+        read_results(folder)
+    task = {name: value for name, value in INFO.task().items() if name != "schema"}
+    (folder / "plan.json").write_text(json.dumps(task))
+    with pytest.raises(FileExistsError, match="other schema"), kept_results(folder, INFO):
+        pass
+
+
+def test_new_keys_and_columns_change_nothing(folder: Path):
+    before = read_results(folder)
+    edit_json(folder / "metrics.json", lambda head: head.update(later={"a": 1}))
+    set_column("later", ["text"] * 6)(folder)
+    with pytest.warns(LeftOut, match="later"):
+        after = read_results(folder)
+    assert (after.rows, after.info) == (before.rows, before.info)
+
+
+def test_weights_of_an_adapter_and_of_its_base_fit(tmp_path: Path):
+    weights = {"adapter_model.safetensors": "a" * 64, "base/model.safetensors": "b" * 64}
+    info = run_info(extra={"weights": weights})
+    write_results(tmp_path, episodes(), info)
+    assert read_results(tmp_path).info.extra["weights"] == weights
+    other = replace(info, extra={"weights": weights | {"base/model.safetensors": "c" * 64}})
+    assert info.task() != other.task(), "another base is another run"
 
 
 def test_files_of_two_runs_are_told_apart(folder: Path):
@@ -145,7 +314,7 @@ DAMAGE: list[tuple[Callable[[Path], None], str]] = [
     (repeat, "12000 episodes"),
     (set_head(n="4"), "n must be of type int, got '4'"),
     (set_head(benchmark="v0"), f"episodes of benchmark 'v0' and '{BENCHMARK_ID}'"),
-    (set_column("surplus", [0] * 6), "its column surplus"),
+    (set_column("stage", [0] * 6), "its column stage"),
     (set_column("S_loc", ["a"] * 6), "its column S_loc"),
     (
         set_column("control_class", ["late"] * 5 + ["standard"]),

@@ -9,7 +9,13 @@ import pytest
 from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.evaluate.rows import STRATA, episode_row
 from dynahoi_lerobot.evaluate.summary import Estimate, bootstrap, bootstrap_means, wilson
-from dynahoi_lerobot.evaluate.table import MAIN_COLUMNS, metric_cell, results_table
+from dynahoi_lerobot.evaluate.table import (
+    MAIN_COLUMNS,
+    columns_for,
+    metric_cell,
+    metrics_table,
+    results_table,
+)
 from dynahoi_lerobot.motions.base import CATEGORIES
 from tests.synthetic import run_info, synthetic_episode
 
@@ -115,7 +121,8 @@ def test_numbers_are_printed_in_the_papers_units():
     for estimate, text in (
         ((0.279, "fraction"), "27.9"),
         ((0.846, "u"), "0.85"),
-        ((None, "score"), "-"),
+        ((None, "score"), ""),
+        ((-0.0002, "fraction"), "0.0"),
     ):
         value, unit = estimate
         assert metric_cell(Estimate(value, value, value, unit, 9)).text == text
@@ -140,3 +147,46 @@ def test_the_contact_rule_leads_with_holding():
     first = [line.split()[0] for line in lines]
     assert first[:4] == ["capture", "hand", "S_hold", "S_loc"]
     assert "S_hold" not in results_table([results()])
+
+
+def test_a_metric_that_does_not_apply_is_an_empty_cell_or_no_column():
+    attach, contact = results(), results(capture="contact")
+    assert contact.summary["S_joint"] == Estimate(None, None, None, "fraction", 0)
+    assert columns_for([contact]) == ("S_hold", "S_loc", "E_loc", "E_gra", *MAIN_COLUMNS[-3:])
+    table = metrics_table(["a", "c"], [attach, contact], columns_for([attach, contact]))
+    place = next(i for i, head in enumerate(table.head) if head.startswith("S_joint"))
+    assert [row[place].text for row in table.rows] == ["75.0", ""]
+    assert table.rows[1][place].key is None
+
+
+def skilled(values: list[float], metric: str = "S_loc", first: int = 0) -> Results:
+    """Results with one value an episode."""
+    episode = synthetic_episode(0, image_size=None)
+    rows = [
+        episode_row(replace(episode, meta=replace(episode.meta, seed=first + i))) | {metric: value}
+        for i, value in enumerate(values)
+    ]
+    return Results(Path("run"), run_info("p"), tuple(rows), ())
+
+
+def bold(*results: Results, metric: str = "S_loc") -> list[bool]:
+    labels = [str(i) for i in range(len(results))]
+    rows = metrics_table(labels, results, [metric]).rows
+    return [row[-1].mark == "best" for row in rows]
+
+
+def test_bold_is_what_a_paired_test_of_enough_episodes_supports():
+    good, fair, bad = [1.0] * 40, [1.0] * 38 + [0.0] * 2, [1.0, 0.0] * 20
+    assert bold(skilled(good), skilled(bad)) == [True, False]
+    assert bold(skilled(bad), skilled(good)) == [False, True]
+    assert bold(skilled(good), skilled(fair)) == [False, False], "2 of 40 may be chance"
+    assert bold(skilled(good), skilled(fair), skilled(bad)) == [False] * 3, "not the second, too"
+    assert bold(skilled(good), skilled(good)) == [False, False]
+    assert bold(skilled(good)) == [False]
+    assert bold(skilled([1.0] * 10), skilled([0.0] * 10)) == [False, False]
+    assert bold(skilled([1.0] * 10), skilled(fair), skilled(bad)) == [False, True, False], (
+        "ten episodes neither win nor stand in the way"
+    )
+    assert bold(skilled(good, first=100), skilled(bad)) == [False, False], "no episode in common"
+    far, near = [1.0] * 40, [0.5] * 40
+    assert bold(skilled(far, "E_loc"), skilled(near, "E_loc"), metric="E_loc") == [False, True]

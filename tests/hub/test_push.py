@@ -368,6 +368,22 @@ def test_results_go_to_the_repository_with_the_weights_that_they_name(
         assert push(results, "me/policy")[0] == code
 
 
+def test_results_of_an_adapter_go_to_its_repository_which_does_not_hold_the_base(
+    checkpoint, tmp_path, hub, push
+):
+    """Its own weights must be there; those of its base model alone show nothing."""
+    push(checkpoint, "me/policy")
+    digest = hashlib.sha256((checkpoint / "model.safetensors").read_bytes()).hexdigest()
+    base = {"base/model.safetensors": "0b" * 32}
+    for number, (weights, code) in enumerate(
+        (({"model.safetensors": digest} | base, 0), (base, 1))
+    ):
+        results = write_split(
+            tmp_path / str(number), "ood_speed", range(2), extra={"weights": weights}
+        )
+        assert push(results, "me/policy")[0] == code
+
+
 def test_the_card_lists_the_results_once(checkpoint: Path, tmp_path: Path, hub: Hub, push: Push):
     push(checkpoint, "me/policy")
     results = write_split(tmp_path / "results", "test_small", range(110))

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.protocols import one_hot_phase
-from dynahoi_lerobot.metrics import METRICS, measure
+from dynahoi_lerobot.metrics import METRICS, Metric, measure
 from dynahoi_lerobot.rollout.recorder import next_frames
 from tests.recompute_metrics import linearity, smoothness
 from tests.synthetic import synthetic_episode
@@ -310,11 +310,60 @@ def test_values_are_in_range_and_order_or_none_where_conditional_and_change_noth
         assert math.isfinite(found)
         assert low <= found <= high, name
         assert metric.aggregation == "mean" or found in (0.0, 1.0)
-    assert value["S_joint"] <= value["S_joint_paper"] <= value["S_loc"] <= value["S_loc_planar"]
+    assert value["S_loc"] <= value["S_loc_planar"]
     assert value["R_time_total"] <= value["R_time"]
+    if episode.meta.capture == "contact":
+        return
+    assert value["S_joint"] <= value["S_joint_paper"] <= value["S_loc"]
     assert value["grasp_strict"] <= value["grasp_medium"] <= value["grasp_loose"]
     assert (value["S_gra"] is None) == (value["S_loc"] == 0)
     assert value["S_gra"] is None or value["S_gra"] <= value["S_gra_window"]
+
+
+OF_THE_REFERENCE_GRASP = {
+    "S_gra",
+    "S_gra_window",
+    "S_gra_two_sided",
+    "S_joint",
+    "S_joint_paper",
+    "grasp_loose",
+    "grasp_medium",
+    "grasp_strict",
+}
+
+
+@pytest.mark.parametrize("localized_from", [None, 2])
+def test_contact_has_a_hold_and_no_reference_grasp_and_the_other_rules_the_reverse(localized_from):
+    episode = hand_made(LINE, joints=[1.0] * 5, localized_from=localized_from, stage="missed")
+    for capture in ("attach", "attach_lenient", "contact"):
+        value = measure(replace(episode, meta=replace(episode.meta, capture=capture)))
+        empty = {name for name, found in value.items() if found is None}
+        conditional = {
+            name
+            for name, metric in METRICS.items()
+            if metric.condition.startswith("localised") and localized_from is None
+        }
+        apart = OF_THE_REFERENCE_GRASP if capture == "contact" else {"S_hold"}
+        assert empty == apart | conditional
+
+
+@pytest.mark.parametrize(
+    ("value", "aggregation", "bounds"),
+    [
+        (1.5, "mean", (0.0, 1.0)),
+        (-0.1, "mean", (0.0, 1.0)),
+        (0.5, "rate", (0.0, 1.0)),
+        (float("nan"), "mean", (0.0, 1.0)),
+        (float("inf"), "mean", (0.0, float("inf"))),
+    ],
+)
+def test_a_value_that_its_own_decorator_excludes_is_refused_when_it_is_measured(
+    value: float, aggregation: str, bounds: tuple
+):
+    """Written into results, it would make them unreadable."""
+    odd = Metric("V_palm", lambda _: value, "score", "higher", aggregation, bounds)
+    with pytest.raises(ValueError, match=f"V_palm of seed 0 is {value}"):
+        odd(hand_made(LINE))
 
 
 @pytest.mark.parametrize("name", METRICS.names())

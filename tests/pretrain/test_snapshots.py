@@ -9,6 +9,7 @@ import pytest
 import torch
 from lerobot_policy_obact.camera import Pinhole
 
+from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.pretrain.recipe import PretrainRecipe
 from dynahoi_lerobot.pretrain.snapshots import ImageStream, calibration, shown_specs, snapshots
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -97,8 +98,11 @@ def test_hands_take_turns(tmp_path: Path):
         images=2,
     )
     stream = ImageStream(recipe)(0)
-    worlds = [WorldBatch(replace(RECIPE.rules, hand=hand), 2, threads=1) for hand in recipe.hands]
+    recipes = [changed(RECIPE, {"hand": hand}) for hand in recipe.hands]
     rng = np.random.default_rng([recipe.seed, 0, 0])
-    alone = [snapshots(batch, shown_specs(recipe, batch.recipe, range(2)), rng) for batch in worlds]
+    alone = [
+        snapshots(WorldBatch(one.rules, 2, threads=1), shown_specs(recipe, one, range(2)), rng)
+        for one in recipes
+    ]
     for one in alone:
         np.testing.assert_array_equal(next(stream).images, next(one).images)

@@ -3,6 +3,8 @@ honest comparisons.
 """
 
 import base64
+import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from xml.etree import ElementTree
@@ -11,13 +13,15 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.core.reading import LeftOut
 from dynahoi_lerobot.evaluate.gif import write_gif
-from dynahoi_lerobot.evaluate.results import Results
-from dynahoi_lerobot.evaluate.table import Table, metric_cell
+from dynahoi_lerobot.evaluate.results import Results, read_results
+from dynahoi_lerobot.evaluate.table import Table, category_table, columns_for, metric_cell
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.report import figures, page, render_report
 from dynahoi_lerobot.report.entries import (
     Entry,
+    Mark,
     distinct_episodes,
     read_entries,
     short_name,
@@ -26,6 +30,7 @@ from dynahoi_lerobot.report.entries import (
 from dynahoi_lerobot.report.page import clips_of, comparison_tables, page_content
 from tests.report.example_runs import example_run
 from tests.synthetic import run_info
+from tests.tools import edit_json
 
 HOSTILE = (
     "<script>alert('x')</script><img src=https://evil.example/a.png onerror=alert(1)>\"&{{ "
@@ -117,8 +122,48 @@ def test_equal_names_are_told_apart_by_conditions_then_folder_then_number():
 
 def test_entries_come_best_first_and_once(entries: list[Entry]):
     assert [entry.label for entry in entries] == ["strong", "holder", "weak"]
-    assert len({entry.colour for entry in entries}) == 3
+    assert len({entry.mark for entry in entries}) == 3
     assert len(distinct_episodes(entries)) == 24
+
+
+def test_every_one_of_many_evaluations_has_a_mark_of_its_own_in_each_form():
+    marks = [Mark.of(place) for place in range(40)]
+    for form in ("marker", "letter", "dashes", "hatch"):
+        assert len({(mark.colour, str(getattr(mark, form))) for mark in marks}) == 40
+
+
+def unfinished(root: Path) -> list[Path]:
+    """Things that `results/*` may name and nobody can read."""
+    example_run(root / "damaged", "p", 0.5, 4)
+    (root / "damaged" / "actions.npz").write_bytes(b"half")
+    example_run(root / "older", "p", 0.5, 4)
+    edit_json(root / "older" / "metrics.json", lambda head: head.update(schema=0))
+    example_run(root / "begun", "p", 0.5, 4)
+    (root / "begun" / "metrics.json").unlink()
+    (root / "empty").mkdir()
+    (root / "notes.txt").write_text("mine")
+    (root / "loop").symlink_to(root / "loop")
+    (root / "gone").symlink_to(root / "nowhere")
+    (root / "file" / "metrics.json").mkdir(parents=True)
+    return sorted(root.iterdir())
+
+
+def test_folders_that_cannot_be_read_are_left_out_with_a_word_each(
+    tmp_path: Path, runs: Path, capsys: pytest.CaptureFixture[str], monkeypatch
+):
+    monkeypatch.setattr(figures, "FIGURES", [])
+    bad = unfinished(tmp_path)
+    words = ["report", "--out", str(tmp_path / "report.html"), *map(str, bad)]
+    assert main([*words, str(runs / "strong"), str(runs / "weak")]) == 0
+    out, err = capsys.readouterr()
+    for path in bad:
+        assert sum(f"/{path.name}" in line for line in err.splitlines()) == 1
+    assert len(err.splitlines()) == len(bad)
+    assert "strong" in out
+    assert main(words) == 2, "nothing is left"
+    assert len(capsys.readouterr().err.splitlines()) == 1
+    with pytest.warns(LeftOut, match="empty"):
+        assert len(read_entries([tmp_path / "empty", runs / "weak"])) == 1
 
 
 # -- figures ---------------------------------------------------------------------------------------
@@ -150,6 +195,37 @@ def test_figures_of_one_episode_are_drawn_or_left_out(tmp_path: Path):
     example_run(tmp_path, "lone", 0.0, 1)
     lone = read_entries([tmp_path])
     assert {name for name, figure in FIGURES.items() if figure.render(lone) is not None} == ALWAYS
+
+
+def words_of(address: str) -> list[str]:
+    text = base64.b64decode(address.removeprefix("data:image/svg+xml;base64,")).decode()
+    root = ElementTree.fromstring(text)
+    return [(element.text or "").strip() for element in root.iter() if element.text]
+
+
+def test_cells_of_the_heat_map_say_how_many_episodes(entries: list[Entry]):
+    words = words_of(FIGURES["per-kind"].render(entries))
+    counts = [
+        summary["S_loc"].n for entry in entries for summary in entry.results.by("kind").values()
+    ]
+    counts += [s["S_hold"].n for s in entries[1].results.by("kind").values()]
+    assert sorted(word for word in words if word.startswith("n=")) == sorted(
+        f"n={n}" for n in counts
+    )
+
+
+def test_captions_say_what_is_shown_and_cite_nothing():
+    for figure in figures.FIGURES:
+        assert "Figure" not in figure.caption
+        assert "Figures" not in figure.caption
+
+
+def test_a_figure_of_grasps_leaves_out_whom_they_do_not_apply_to(odd: list[Entry]):
+    contact = [entry for entry in odd if entry.results.info.capture == "contact"]
+    assert FIGURES["per-frame-grasp"].render(contact) is None
+    words = words_of(FIGURES["per-frame-grasp"].render(odd))
+    assert contact[0].label not in words
+    assert all("S_joint" not in word for word in words_of(FIGURES["main"].render(contact)))
 
 
 def test_deltas_are_those_of_the_control_phase(entries: list[Entry]):
@@ -206,6 +282,29 @@ def test_conditions_are_columns_where_evaluations_differ_and_in_the_caption_wher
     assert "n 24" in table.caption
 
 
+def test_what_does_not_apply_is_empty(content: dict):
+    cell = column(content["main_metrics"], "S_joint")["holder"]
+    assert (cell.text, cell.detail, cell.key) == ("", "", None)
+
+
+def test_categories_have_interval_and_number(entries: list[Entry], content: dict):
+    held, localised = content["categories"]
+    assert [row[0].text for row in held.rows] == ["holder"]
+    assert [row[0].text for row in localised.rows] == [entry.label for entry in entries]
+    for entry, row in zip(entries, localised.rows, strict=True):
+        for title, cell in zip(localised.head[1:], row[1:], strict=True):
+            name, _, n = title.partition(", n = ")
+            found = entry.results.by("category")[name.replace(" ", "_")]["S_loc"]
+            assert int(n) == found.n
+            assert (cell.text, cell.detail) == (metric_cell(found).text, metric_cell(found).detail)
+    fewer = replace(entries[0].results, rows=entries[0].results.rows[:9])
+    counted = category_table(["a", "b"], [fewer, entries[1].results], "S_loc")
+    assert sum("n = " in title for title in counted.head) < len(counted.head) - 1
+    for place, title in enumerate(counted.head[1:], 1):
+        told = ["n = " in row[place].detail for row in counted.rows if row[place].text]
+        assert all(told) != ("n = " in title), "in the title, or where it differs in the cells"
+
+
 def test_the_best_is_marked_under_equal_conditions_only(content: dict):
     marks = {label: cell.mark for label, cell in column(content["main_metrics"], "S_loc").items()}
     assert marks == {"strong": "best", "weak": "", "holder": ""}
@@ -258,6 +357,9 @@ def test_a_page_holds_everything_and_loads_nothing(runs: Path, monkeypatch: pyte
         f"#{name}" for name in sections
     }
     assert f"dynahoi evaluate --policy '{HOSTILE}'" in parsed.text
+    before_figures = html.partition("<figure>")[0]
+    for name in columns_for([read_results(folder) for folder in folders]):
+        assert f"<dt>{name}</dt>" in before_figures, "what it means is said before it is drawn"
     clips = [
         a["alt"]
         for tag, a in parsed.tags
@@ -278,6 +380,25 @@ def test_a_page_holds_everything_and_loads_nothing(runs: Path, monkeypatch: pyte
     assert policy.startswith("default-src 'none'")
     assert render_report(folders, runs / "strong") == runs / "strong" / "report.html"
     assert (runs / "strong" / "report.html").read_text() == html, "the page is the same every time"
+
+
+def test_a_page_shows_words_and_no_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(figures, "FIGURES", [])
+    told = {
+        "notes": {"views": ["side", "top"], "salt": "", "hand": {"name": "capsule"}, "noise": 0},
+        "settings": ["n_action_steps=2"],
+        "privileged": True,
+        "weights": None,
+        "inference": "",
+        "vlm": {},
+    }
+    example_run(tmp_path / "run", "p", 0.5, 4, **told)
+    html = render_report([tmp_path / "run"], tmp_path / "report.html").read_text()
+    shown = Page(html.partition('<section id="runs">')[2].partition("</section>")[0]).text
+    assert "views side, top, hand name capsule, noise 0" in shown
+    assert not re.search(r"[{}\[\]']|None|True", shown)
+    assert not {"weights", "inference", "vlm"} & set(shown.split()), "nothing of what is empty"
+    assert "``" not in html
 
 
 def test_clips_are_the_first_gifs_of_the_folder_itself(

@@ -2,6 +2,7 @@
 on request.
 """
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -96,7 +97,7 @@ def test_a_policy_that_reads_it_is_evaluated_on_request_and_marked(checkpoint, t
         f"{tmp_path}/r",
     ]
     assert main(words) != 0
-    assert "add --environment-state truth to let it" in capsys.readouterr().err
+    assert "add --environment-state truth" in capsys.readouterr().err
     assert main([*words, "--environment-state", "truth"]) == 0
     out = capsys.readouterr().out
     assert f"{checkpoint}*" in out
@@ -185,13 +186,14 @@ def test_a_policy_that_reads_it_is_not_privileged(
 ) -> None:
     reader = small_act(tmp_path / "act", 14)
     words = ["evaluate", "--policy", reader, "--motions", "constant", "--episodes", "1"]
+    assert main([*words, "--out", str(tmp_path / "r")]) == 2
+    assert "does not say which" in capsys.readouterr().err
+    env = {"type": "dynahoi", "environment_state": "eye", "image_size": 96}
+    (tmp_path / "act" / "train_config.json").write_text(json.dumps({"env": env}))
     assert main([*words, "--out", str(tmp_path / "r")]) == 0
     assert "--environment-state eye" in capsys.readouterr().out
     results = read_results(tmp_path / "r")
-    assert (
-        results.recipe().environment_state,
-        results.recipe().image_size,
-        results.privileged,
-    ) == ("eye", 96, False)
+    rules = results.recipe().rules
+    assert (rules.environment_state, rules.image_size, results.privileged) == ("eye", 96, False)
     assert main([*words, "--environment-state", "truth"]) == 2
     assert f"but {reader} needs --environment-state eye" in capsys.readouterr().err

@@ -666,7 +666,7 @@ def test_another_process_without_the_core_acts_the_same_and_trains(hand_root: Pa
 
 
 def test_what_learned_from_the_targets_path_is_not_trained_where_there_is_none(
-    hand_root: Path, monkeypatch
+    hand_root: Path, tmp_path: Path, monkeypatch
 ):
     config = learner(hand_root).config
     config.pretrained_path = Path("ours")
@@ -674,4 +674,4 @@ def test_what_learned_from_the_targets_path_is_not_trained_where_there_is_none(
     with pytest.raises(
         ValueError, match="ours learned from the target's path, which local/other lacks"
     ):
-        ObActPolicy(config, dataset_meta=SimpleNamespace(repo_id="local/other"))
+        ObActPolicy(config, dataset_meta=SimpleNamespace(repo_id="local/other", root=tmp_path))
