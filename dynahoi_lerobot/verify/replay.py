@@ -1,4 +1,4 @@
-"""Third and last claim: episodes follow from their seeds.
+"""The claim of a replay: episodes follow from their seeds.
 
 What an episode is follows without playing it; played again, it has the same columns and images.
 """
