@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator
 from functools import cached_property
 from pathlib import Path
@@ -20,8 +19,6 @@ from dynahoi_lerobot.core.features import (
     episode_features,
 )
 from dynahoi_lerobot.core.reading import (
-    TABLE_BYTES,
-    TEXT_BYTES,
     ReadError,
     fits,
     open_table,
@@ -230,7 +227,7 @@ class Store:
         for path in [self.root / TASKS_PATH, *self.row_files(), *self.data_files()]:
             open_table(path).close()
         for path in (self.root / "meta").glob("*.json"):
-            regular(path, TEXT_BYTES)
+            regular(path)
         for path in self.root.glob("videos/*/*/*"):
             regular(path)
         if (told := sum(row["length"] for row in self.rows)) != self.frame_count:
@@ -242,7 +239,7 @@ class Store:
     @cached_property
     def frame_count(self) -> int:
         """Number of rows of the frame table."""
-        return sum(open_table(path, ()).metadata.num_rows for path in self.data_files())
+        return sum(open_table(path).metadata.num_rows for path in self.data_files())
 
     @property
     def features(self) -> Features:
@@ -282,7 +279,7 @@ class Store:
         rows: list[EpisodeRow] = []
         wanted, cells = row_schema(self.features, episode_features()), 0
         for path in self.row_files():
-            file = open_table(path, ())
+            file = open_table(path)
             held = {field.name: field.type for field in file.schema_arrow}
             for name, kind in held.items():
                 if name in wanted.names and not fits_column(kind, told := wanted.field(name).type):
@@ -331,7 +328,7 @@ class Store:
     @property
     def array_features(self) -> list[Feature]:
         """Our arrays that the episode table holds."""
-        names = open_table(self.row_files()[0], ()).schema_arrow.names
+        names = open_table(self.row_files()[0]).schema_arrow.names
         return [feature for feature in episode_features() if feature.key in names]
 
     def array_feature(self, key: str) -> Feature | None:
@@ -399,13 +396,12 @@ class Store:
     def images(self, row: EpisodeRow, table: pa.Table, key: str) -> np.ndarray:
         """Return the episode's images of a view, (T, H, W, 3) uint8 RGB."""
         with reading(path := self.video_path(row, key) if self.has_video else self.data_path(row)):
-            if math.prod(shape := (row["length"], *self.features[key]["shape"])) > TABLE_BYTES:
-                raise ValueError(f"images of shape {shape} take more than {TABLE_BYTES} bytes")
             if self.has_video:
                 start = round(row[f"videos/{key}/from_timestamp"] * self.fps)
                 shown = decode(path, start, start + row["length"])
             else:
                 shown = (read_png(cell) for cell in table[key].to_pylist())
+            shape = (row["length"], *self.features[key]["shape"])
             images = np.empty(shape, np.uint8)
             for place, image in zip(range(row["length"]), shown, strict=True):
                 if image.shape != shape[1:]:
