@@ -88,7 +88,9 @@ def test_all_attempts_at_a_failed_episode_are_told(tmp_path):
     )
     generate(GenerationPlan(recording, 8), tmp_path / "d", record=record)
     attempts = (
-        pd.read_parquet(tmp_path / "d/meta/episodes")["stats/attempt_success"].map(list).tolist()
+        pd.read_parquet(tmp_path / "d/meta/privileged_episodes")["attempt_success"]
+        .map(list)
+        .tolist()
     )
     assert max(map(len, attempts)) > 1, "the expert begins again"
     assert all(not any(tries[:-1]) for tries in attempts)

@@ -23,7 +23,7 @@ from lerobot_policy_obact.decisions import Episodes, episode_losses
 from lerobot_policy_obact.network import ObActModel
 from safetensors.torch import save_file
 
-from dynahoi_lerobot.core.features import episode_features
+from dynahoi_lerobot.core.features import privileged_features
 from tests.checkpoints import FEATURES
 
 LENGTHS = [3, 4]
@@ -77,7 +77,7 @@ def test_episodes_from_elsewhere_leave_the_hand_known_and_only_actions_to_learn(
         if field.name in (
             recordings.CAPTURE,
             recordings.WINDOW,
-            *(f.key for f in episode_features()),
+            *(f.key for f in privileged_features()),
         ):
             cells = [None, *table[field.name].to_pylist()[1:]]
             kind = pa.float64() if pa.types.is_integer(field.type) else field.type

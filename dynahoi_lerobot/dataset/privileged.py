@@ -1,0 +1,136 @@
+"""The privileged tables: what metrics and teachers read and no policy may see.
+
+``meta/privileged`` has a row per frame, in the order of the frame table. In
+``meta/privileged_episodes`` are constants and arrays whose rows are not frames, a row per episode.
+A cell is a number, or nested lists of the feature's shape. LeRobot fetches both with ``meta/`` and
+reads neither, so they cost no training anything; ``dataset.frame_column`` and
+``dataset.episode_column`` read them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+import pyarrow as pa
+
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.features import Feature, privileged_features
+from dynahoi_lerobot.dataset.columns import SCALARS, column_array, flat_array
+
+FRAME_KEYS = ("episode_index", "frame_index")
+EPISODE_KEYS = ("episode_index",)
+"""Columns by which the rows of either table are found."""
+
+
+def schemas(features: Iterable[Feature]) -> tuple[pa.Schema, pa.Schema]:
+    """Return the schemas of both tables: of ``features``, the privileged ones count."""
+    kinds = {f.key: (_row_type(f), f.by_frame) for f in features if f.privileged}
+    frames = {key: kind for key, (kind, by_frame) in kinds.items() if by_frame}
+    episodes = {key: kind for key, (kind, by_frame) in kinds.items() if not by_frame}
+    return (
+        pa.schema(dict.fromkeys(FRAME_KEYS, pa.int64()) | frames),
+        pa.schema(dict.fromkeys(EPISODE_KEYS, pa.int64()) | episodes),
+    )
+
+
+def _row_type(feature: Feature) -> pa.DataType:
+    """The type of a cell: nested lists, of a fixed size where every episode has the same."""
+    kind: pa.DataType = SCALARS[feature.dtype]
+    for size in reversed(feature.shape):
+        kind = pa.list_(kind, size)
+    return kind if feature.constant or feature.by_frame else pa.list_(kind)
+
+
+@dataclass(frozen=True)
+class Privileged:
+    """What is privileged of one episode.
+
+    Attributes:
+        frames: its T rows of ``meta/privileged``.
+        episode: its row of ``meta/privileged_episodes``.
+    """
+
+    frames: pa.Table
+    episode: pa.Table
+
+    @classmethod
+    def of(cls, episode: Episode, features: Sequence[Feature]) -> Self:
+        """Return the rows of an episode without their keys: of ``features``, the privileged ones
+        count.
+        """
+        own = (feature for feature in features if feature.privileged)
+        arrays = {f.key: np.asarray(getattr(episode, f.name), f.dtype) for f in own}
+        frames, row = schemas(features)
+        return cls(
+            pa.table(
+                {
+                    key: flat_array(arrays[key], frames.field(key).type)
+                    for key in frames.names
+                    if key not in FRAME_KEYS
+                }
+            ),
+            pa.table(
+                {
+                    key: _cell(arrays[key], row.field(key).type)
+                    for key in row.names
+                    if key not in EPISODE_KEYS
+                }
+            ),
+        )
+
+    def placed(self, episode_index: int) -> Self:
+        """Return the rows with the keys of an episode of this index."""
+        number = np.arange(len(self.frames))
+        keys = {"episode_index": np.full_like(number, episode_index), "frame_index": number}
+        return type(self)(
+            _with_columns(self.frames, keys),
+            _with_columns(self.episode, {"episode_index": np.array([episode_index])}),
+        )
+
+    def values(self) -> dict[str, Any]:
+        """Return the attributes of an Episode that the rows hold: undoes ``of``.
+
+        Raises:
+            KeyError: if a column is missing.
+            ValueError: if a cell has another shape or type than its feature.
+        """
+        stored = (feature for feature in privileged_features() if not feature.derived)
+        return {f.name: (self._by_frame if f.by_frame else self._of_episode)(f) for f in stored}
+
+    def _by_frame(self, feature: Feature) -> np.ndarray:
+        values = column_array(self.frames, feature.key)  # (T, D)
+        return values.astype(feature.dtype, copy=False).reshape(len(self.frames), *feature.shape)
+
+    def _of_episode(self, feature: Feature) -> Any:
+        array = cell_array(self.episode[feature.key][0].as_py(), feature)
+        if feature.shape:
+            return array
+        return array.item() if feature.constant else array[:, 0]
+
+
+def cell_array(cell: Any, feature: Feature) -> np.ndarray:
+    """Return a cell of ``meta/privileged_episodes`` as (D,), or (rows, D) where it is not constant.
+
+    Raises:
+        ValueError: if it is null or of another shape.
+    """
+    if cell is None:
+        raise ValueError(f"its column {feature.key} has a row without a value")
+    shape = feature.column_shape if feature.constant else (-1, *feature.column_shape)
+    return np.array(cell, feature.dtype).reshape(shape)
+
+
+def _cell(values: np.ndarray, kind: pa.DataType) -> pa.Array:
+    """Return a column of one cell."""
+    if pa.types.is_list(kind):
+        return pa.ListArray.from_arrays([0, len(values)], flat_array(values, kind.value_type))
+    return flat_array(values, kind)
+
+
+def _with_columns(table: pa.Table, columns: dict[str, np.ndarray]) -> pa.Table:
+    """Return a table that begins with these columns, and then has its others."""
+    others = {name: table[name] for name in table.column_names if name not in columns}
+    return pa.table({name: pa.array(values) for name, values in columns.items()} | others)
