@@ -349,8 +349,11 @@ class Store:
 
     @property
     def lengths(self) -> np.ndarray:
-        """Number of frames of each episode, (E,)."""
-        return np.array([row["length"] for row in self.rows])
+        """Number of frames of each episode, (E,), as the episode table says: the frames need not be
+        here, as where LeRobot fetches some episodes, or streams them.
+        """
+        (lengths,) = self._columns(self.row_files(), ["length"])
+        return lengths[:, 0]
 
     def data_files(self) -> list[Path]:
         """Return the files of the frame table, in order; ValueError if there are none."""
@@ -408,18 +411,16 @@ class Store:
         frames, episodes = self.privileged_files()
         if not (frames and episodes):
             return f"{self.root} has no privileged tables: {DROPPED}"
-        lengths = self.lengths
-        wanted = [
-            np.repeat(np.arange(len(lengths)), lengths),
-            np.concatenate([np.arange(length) for length in lengths]),
-            np.arange(len(lengths)),
-        ]
         found = [*self._columns(frames, FRAME_KEYS), *self._columns(episodes, EPISODE_KEYS)]
-        if not all(
-            np.array_equal(one[:, 0], other) for one, other in zip(found, wanted, strict=True)
-        ):
-            return f"{self.root} has the privileged tables of other episodes: {DROPPED}"
-        return ""
+        lengths = self.lengths
+        if len(lengths) == len(found[2]) and lengths.sum() == len(found[0]) and lengths.min() > 0:
+            number = np.repeat(np.arange(len(lengths)), lengths)
+            first = np.repeat(np.cumsum(lengths) - lengths, lengths)
+            wanted = [number, np.arange(len(number)) - first, np.arange(len(lengths))]
+            pairs = zip(found, wanted, strict=True)
+            if all(np.array_equal(one[:, 0], other) for one, other in pairs):
+                return ""
+        return f"{self.root} has the privileged tables of other episodes: {DROPPED}"
 
     def _columns(self, files: Sequence[Path], keys: Sequence[str]) -> list[np.ndarray]:
         """Return columns of numbers of a table of several files, (n, D) each."""

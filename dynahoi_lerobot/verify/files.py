@@ -67,7 +67,7 @@ def edited(store: Store, manifest: Manifest | None) -> str | None:
         gone = [MANIFEST_PATH]
         gone += [] if any(store.privileged_files()) else ["the privileged tables"]
         gone += [f"our columns of the episode table ({', '.join(lost[:3])}, ...)"] if lost else []
-        told = f"{', '.join(gone)} {'are' if len(gone) > 1 else 'is'} gone"
+        told = f"{' and '.join(gone)} {'are' if len(gone) > 1 else 'is'} gone"
         if any(store.privileged_files()) and store.privileged_problem:
             told += ", and the privileged tables are those of other episodes"
     elif changed := changed_files(store.root, manifest):
