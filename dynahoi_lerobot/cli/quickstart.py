@@ -23,6 +23,7 @@ from tqdm import tqdm
 
 from dynahoi_lerobot.cli import main as cli
 from dynahoi_lerobot.core.arguments import CommandError, option, whole
+from dynahoi_lerobot.core.progress import progress_bar
 from dynahoi_lerobot.core.working_folder import working_folder
 from dynahoi_lerobot.dataset.paths import check_root
 from dynahoi_lerobot.doctor import cores
@@ -215,7 +216,7 @@ def _run_into(
     log = out / f"lerobot_{command}.log"
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
-    with tqdm(disable=None, leave=False, **bar) as progress:
+    with progress_bar(**bar) as progress:
         code = run_lerobot(command, arguments, log, step, progress)
     if code:
         raise CommandError(f"lerobot-{command} exited with code {code}; see {log}")

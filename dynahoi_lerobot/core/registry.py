@@ -13,7 +13,7 @@ import importlib.util
 import pkgutil
 import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -32,12 +32,17 @@ def known[T](noun: str, name: str, table: Mapping[str, T]) -> T:
             all.
     """
     if name not in table:
-        close = difflib.get_close_matches(name, table, n=1)
-        hint = f" (did you mean {close[0]!r}?)" if close else ""
         raise UnknownNameError(
-            f"unknown {noun} {name!r}{hint}; known: {', '.join(filter(None, table))}"
+            f"unknown {noun} {name!r}{suggestion(name, table)}; "
+            f"known: {', '.join(filter(None, table))}"
         )
     return table[name]
+
+
+def suggestion(name: str, names: Iterable[str]) -> str:
+    """Return `` (did you mean '...'?)`` with the closest of ``names``, or nothing if none is."""
+    close = difflib.get_close_matches(name, list(names), n=1)
+    return f" (did you mean {close[0]!r}?)" if close else ""
 
 
 class Registry[T]:

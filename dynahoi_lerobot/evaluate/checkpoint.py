@@ -34,6 +34,8 @@ from dynahoi_lerobot.core.reading import (
     sha256,
     tensor_types,
 )  # fmt: skip
+from dynahoi_lerobot.core.registry import suggestion
+from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.renderers.views import OPTIONAL_VIEWS
 from dynahoi_lerobot.rules import Rules
 
@@ -150,7 +152,8 @@ def described_folder(path: str) -> Path:
     if os.path.isdir(path):
         return Path(path)
     if path.count("/") != 1:
-        raise PolicyError(f"there is no policy {path!r}; {REMEDY}")
+        hint = suggestion(path, EXPERTS.names())
+        raise PolicyError(f"there is no policy {path!r}{hint}; {REMEDY}")
     return _download(path, ["*.json"])
 
 

@@ -7,14 +7,13 @@ from itertools import batched
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 from dynahoi_lerobot.core.agent import Actor, Agent, ChunkAgent
 from dynahoi_lerobot.core.arguments import given_of, number, option, refuse_given, whole
 from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, EYE, TRUTH
 from dynahoi_lerobot.core.nested import changed
+from dynahoi_lerobot.core.progress import progress_bar
 from dynahoi_lerobot.core.protocols import PROTOCOLS
 from dynahoi_lerobot.core.reading import ReadError
 from dynahoi_lerobot.core.spec import EpisodeSpec
@@ -276,7 +275,7 @@ def _played(
         return
     batch = WorldBatch(recipe.rules, min(size, len(specs)))
     shown = set(split_seeds(options.split)[: options.gifs])
-    with tqdm(
+    with progress_bar(
         total=len(specs), desc=f"{options.policy} on {options.split}", unit="episode"
     ) as progress:
         for group in batched(specs, size):

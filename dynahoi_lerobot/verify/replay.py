@@ -1,4 +1,4 @@
-"""Third and last claim: episodes follow from their seeds.
+"""The claim of a replay: episodes follow from their seeds.
 
 What an episode is follows without playing it; played again, it has the same columns and images.
 """
@@ -127,7 +127,7 @@ def replay_problems(
         if (made := played_again(recording, stored)) is None:
             yield f"episode {index}: the expert does not manage seed {row['seed']}"
             continue
-        problems = differences(_content(made), _content(stored))
+        problems = differences(_content(made) | {"code": made_with}, _content(stored))
         yield from (f"episode {index} replays to {problem}" for problem in problems)
         for key in store.image_keys:
             view = made.images.get(key.removeprefix(IMAGE_PREFIX))

@@ -245,6 +245,7 @@ def test_a_dataset_of_other_code_is_replayed_with_a_word(copy):
     edit_json(
         copy / "meta/manifest.json", lambda content: content["provenance"].update(code="0123")
     )
+    column(ROWS, "code", lambda codes: ["0123"] * len(codes))(copy)
     sign(copy)
     told: list[str] = []
     assert "replay" not in {finding.check for finding in verify(copy, replayed=1, note=told.append)}
