@@ -109,8 +109,9 @@ class Feature:
 
     @property
     def measures(self) -> bool:
-        """Whether it is images whose colours are measurements, which no video may change: at edges,
-        h264 moves depth by up to 26 cm and takes 15 % of the target's pixels for something else.
+        """Whether it is images whose colours are measurements, which no video may change: with the
+        default settings, h264 moves depth by up to 34 cm and gives 11 % of the target's pixels the
+        colour of something else (22 episodes, 96 px).
         """
         return self.is_image and self.key.endswith((DEPTH, SEGMENTATION))
 
