@@ -86,7 +86,7 @@ def write_card(store: Store, manifest: Manifest) -> None:
         privileged={
             by_frame: [
                 _cells(f.key, f.dtype, _privileged_shape(f), f.unit, f.meaning)
-                for f in store.privileged_features
+                for f in store.privileged.features
                 if f.by_frame == by_frame
             ]
             for by_frame in (True, False)

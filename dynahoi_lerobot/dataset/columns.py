@@ -5,6 +5,7 @@ them back.
 import io
 import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from dynahoi_lerobot.core.features import (
     image_feature,
 )
 from dynahoi_lerobot.core.protocols import is_acting
+from dynahoi_lerobot.core.reading import read_table
 from dynahoi_lerobot.dataset.video import MAX_PIXELS, Encoding
 
 Features = dict[str, dict[str, Any]]
@@ -217,6 +219,16 @@ def column_array(table: pa.Table, key: str) -> np.ndarray:
     return values.to_numpy(zero_copy_only=False).reshape(
         len(column), -1 if len(column) else 1
     )  # (n, D)
+
+
+def numeric_columns(files: Sequence[Path], keys: Sequence[str]) -> list[np.ndarray]:
+    """Return numeric columns of a table of several files, (n, D) each.
+
+    Raises:
+        ValueError: as ``column_array``, or if a file is missing or damaged.
+    """
+    tables = [read_table(path, [*keys]) for path in files]
+    return [np.concatenate([column_array(table, key) for table in tables]) for key in keys]
 
 
 def is_list(kind: pa.DataType) -> bool:

@@ -116,7 +116,7 @@ def _assemble(
     all.
     """
     first = sources[0][0]
-    columns, options = first.privileged_features, {"limits": limits, "features": first.features}
+    columns, options = first.privileged.features, {"limits": limits, "features": first.features}
     # an OSError is of the folder that is written
     with (
         reading(first.root, OSError),
@@ -159,4 +159,4 @@ def episode_packets(
 
 def _columns(store: Store) -> dict[str, Any]:
     """Return what is known of the columns of all tables, by key."""
-    return store.features | {feature.key: feature for feature in store.privileged_features}
+    return store.features | {feature.key: feature for feature in store.privileged.features}

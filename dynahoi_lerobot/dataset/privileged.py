@@ -9,8 +9,10 @@ reads neither, so they cost no training anything; ``dataset.frame_column`` and
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
@@ -18,11 +20,15 @@ import pyarrow as pa
 
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import Feature, privileged_features
-from dynahoi_lerobot.dataset.columns import SCALARS, column_array, flat_array
+from dynahoi_lerobot.core.reading import ReadError, open_table, read_table
+from dynahoi_lerobot.dataset.columns import SCALARS, column_array, flat_array, numeric_columns
 
 FRAME_KEYS = ("episode_index", "frame_index")
 EPISODE_KEYS = ("episode_index",)
 """Columns by which the rows of either table are found."""
+
+DROPPED = "LeRobot's tools do not keep them; take the dataset from before, or `dynahoi filter`"
+"""What to do about tables that are missing, or are those of other episodes."""
 
 
 def schemas(features: Iterable[Feature]) -> tuple[pa.Schema, pa.Schema]:
@@ -134,3 +140,120 @@ def _with_columns(table: pa.Table, columns: dict[str, np.ndarray]) -> pa.Table:
     """Return a table that begins with these columns, and then has its others."""
     others = {name: table[name] for name in table.column_names if name not in columns}
     return pa.table({name: pa.array(values) for name, values in columns.items()} | others)
+
+
+class PrivilegedTables:
+    """The privileged tables of a dataset on disk; one that another tool has edited may have none,
+    or those of other episodes.
+    """
+
+    def __init__(self, root: Path, lengths: Callable[[], np.ndarray]) -> None:
+        """Look for the tables below ``root``, a dataset whose episodes have ``lengths`` [frames],
+        (E,).
+        """
+        self._root, self._lengths = root, lengths
+
+    def files(self) -> tuple[list[Path], list[Path]]:
+        """Return the files of the table of frames and of that of episodes, in order."""
+        frames, episodes = (
+            sorted((self._root / folder).glob("*/*.parquet"))
+            for folder in ("meta/privileged", "meta/privileged_episodes")
+        )
+        return frames, episodes
+
+    @cached_property
+    def features(self) -> list[Feature]:
+        """The columns of both tables, in the order of the feature table."""
+        names = {
+            name
+            for files in self.files()
+            for path in files[:1]
+            for name in open_table(path, ()).schema_arrow.names
+        }
+        return [feature for feature in privileged_features() if feature.key in names]
+
+    def feature(self, key: str) -> Feature:
+        """Return one of ``features`` by its key; ValueError if there is none."""
+        for feature in self.features:
+            if feature.key == key:
+                return feature
+        if self.features:
+            raise ValueError(f"{self._root} has no column of numbers {key!r}")
+        raise ValueError(f"{self._root} has no column {key!r} and no privileged tables: {DROPPED}")
+
+    @cached_property
+    def problem(self) -> str:
+        """Why they cannot be read; empty if every frame and every episode has its row.
+
+        Raises:
+            ReadError: if a file is damaged.
+        """
+        frames, episodes = self.files()
+        if not (frames and episodes):
+            return f"{self._root} has no privileged tables: {DROPPED}"
+        number, frame = (keys[:, 0] for keys in numeric_columns(frames, FRAME_KEYS))
+        (index,) = (keys[:, 0] for keys in numeric_columns(episodes, EPISODE_KEYS))
+        lengths = self._lengths()
+        if len(lengths) == len(index) and lengths.sum() == len(frame) and lengths.min() > 0:
+            first = np.repeat(np.cumsum(lengths) - lengths, lengths)
+            wanted = np.repeat(np.arange(len(lengths)), lengths)
+            if (
+                np.array_equal(index, np.arange(len(lengths)))
+                and np.array_equal(number, wanted)
+                and np.array_equal(frame, np.arange(len(frame)) - first)
+            ):
+                return ""
+        return f"{self._root} has the privileged tables of other episodes: {DROPPED}"
+
+    def rows(self, feature: Feature) -> np.ndarray:
+        """Return a column of the table of frames, (N, D); ReadError as ``problem`` says."""
+        self._check()
+        (values,) = numeric_columns(self.files()[0], [feature.key])
+        return values.astype(feature.dtype, copy=False)
+
+    def cells(self, feature: Feature) -> list[np.ndarray]:
+        """Return a column of the table of episodes, an array for each; ReadError as ``problem``
+        says.
+        """
+        self._check()
+        tables = (read_table(path, [feature.key]) for path in self.files()[1])
+        return [
+            cell_array(cell, feature) for table in tables for cell in table[feature.key].to_pylist()
+        ]
+
+    def episode(self, index: int) -> Privileged:
+        """Return the rows of one episode; ReadError as ``problem`` says."""
+        self._check()
+        frames, row = (
+            pa.concat_tables(
+                read_table(path, filters=[("episode_index", "=", index)]) for path in files
+            )
+            for files in self.files()
+        )
+        return Privileged(frames, row)
+
+    def episodes(self) -> Iterator[Privileged]:
+        """Yield the rows of each episode, reading files once; ReadError as ``problem`` says."""
+        self._check()
+        lengths = self._lengths()
+        frames, episodes = self.files()
+        parts = zip(
+            _in_turn(frames, lengths), _in_turn(episodes, np.ones_like(lengths)), strict=True
+        )
+        yield from (Privileged(*tables) for tables in parts)
+
+    def _check(self) -> None:
+        if self.problem:
+            raise ReadError(self.problem)
+
+
+def _in_turn(files: Sequence[Path], counts: np.ndarray) -> Iterator[pa.Table]:
+    """Yield the next rows of a table of several files, so many at a time."""
+    rest = pa.table({})
+    remaining = iter(files)
+    for count in counts:
+        while len(rest) < count:
+            more = read_table(next(remaining))
+            rest = pa.concat_tables([rest, more]) if len(rest) else more
+        yield rest.slice(0, count).combine_chunks()
+        rest = rest.slice(count)

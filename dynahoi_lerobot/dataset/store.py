@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,9 +15,7 @@ import pyarrow as pa
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import (
     IMAGE_PREFIX,
-    Feature,
-    privileged_features,
-)  # fmt: skip
+)
 from dynahoi_lerobot.core.reading import (
     TABLE_BYTES,
     TEXT_BYTES,
@@ -35,6 +33,7 @@ from dynahoi_lerobot.dataset.columns import (
     column_array,
     content_values,
     image_keys,
+    numeric_columns,
     numeric_keys,
     read_png,
     video_keys,
@@ -48,12 +47,7 @@ from dynahoi_lerobot.dataset.episode_table import (
 )  # fmt: skip
 from dynahoi_lerobot.dataset.manifest import check_schema
 from dynahoi_lerobot.dataset.paths import DATA_PATH, INFO_PATH, TASKS_PATH, VIDEO_PATH, check_root
-from dynahoi_lerobot.dataset.privileged import (
-    EPISODE_KEYS,
-    FRAME_KEYS,
-    Privileged,
-    cell_array,
-)  # fmt: skip
+from dynahoi_lerobot.dataset.privileged import Privileged, PrivilegedTables
 from dynahoi_lerobot.dataset.video import Encoding, decode
 
 if TYPE_CHECKING:
@@ -68,8 +62,6 @@ PLACE = (
     "data/file_index",
 )
 """Columns of the episode table that say where an episode lies."""
-DROPPED = "LeRobot's tools do not keep them; take the dataset from before, or `dynahoi filter`"
-"""What to do about privileged tables that are missing or of other episodes."""
 CELLS = 10**7
 """Most values of the episode table, without arrays, that are held in memory: ten million frames
 have fewer."""
@@ -156,11 +148,11 @@ def frame_column(root: Path, key: str) -> np.ndarray:
         if not np.array_equal(index[:, 0], np.arange(len(values))):
             raise ValueError(f"{root} holds its frames in another order; see `dynahoi verify`")
         return values
-    feature = store.privileged_feature(key)
+    feature = store.privileged.feature(key)
     if feature.per != "frame":
         raise ValueError(f"{root} has no column {key!r} with a row per frame")
     if feature.by_frame:
-        return store.privileged_rows(feature)
+        return store.privileged.rows(feature)
     return np.repeat(episode_column(root, key), store.lengths, axis=0)
 
 
@@ -183,10 +175,10 @@ def episode_column(root: Path, key: str) -> list[np.ndarray]:
         ValueError: if the dataset has no such array.
     """
     store = Store(root)
-    feature = store.privileged_feature(key)
+    feature = store.privileged.feature(key)
     if feature.by_frame:
-        return np.split(store.privileged_rows(feature), np.cumsum(store.lengths)[:-1])
-    return store.privileged_cells(feature)
+        return np.split(store.privileged.rows(feature), np.cumsum(store.lengths)[:-1])
+    return store.privileged.cells(feature)
 
 
 @dataclass(frozen=True)
@@ -352,7 +344,7 @@ class Store:
         """Number of frames of each episode, (E,), as the episode table says: the frames need not be
         here, as where LeRobot fetches some episodes, or streams them.
         """
-        (lengths,) = self._columns(self.row_files(), ["length"])
+        (lengths,) = numeric_columns(self.row_files(), ["length"])
         return lengths[:, 0]
 
     def data_files(self) -> list[Path]:
@@ -369,87 +361,12 @@ class Store:
         read.
         """
         lerobots = [self.root / TASKS_PATH, *self.row_files(), *self.data_files()]
-        return lerobots + [path for files in self.privileged_files() for path in files]
-
-    def privileged_files(self) -> tuple[list[Path], list[Path]]:
-        """Return the files of the privileged table of frames and of that of episodes, in order; an
-        edited dataset has none.
-        """
-        frames, episodes = (
-            sorted((self.root / folder).glob("*/*.parquet"))
-            for folder in ("meta/privileged", "meta/privileged_episodes")
-        )
-        return frames, episodes
+        return lerobots + [path for files in self.privileged.files() for path in files]
 
     @cached_property
-    def privileged_features(self) -> list[Feature]:
-        """The columns of the privileged tables, in order; none of an edited dataset."""
-        names = {
-            name
-            for files in self.privileged_files()
-            for path in files[:1]
-            for name in open_table(path, ()).schema_arrow.names
-        }
-        return [feature for feature in privileged_features() if feature.key in names]
-
-    def privileged_feature(self, key: str) -> Feature:
-        """Return one of ``privileged_features`` by its key; ValueError if there is none."""
-        for feature in self.privileged_features:
-            if feature.key == key:
-                return feature
-        if self.privileged_features:
-            raise ValueError(f"{self.root} has no column of numbers {key!r}")
-        raise ValueError(f"{self.root} has no column {key!r} and no privileged tables: {DROPPED}")
-
-    @cached_property
-    def privileged_problem(self) -> str:
-        """Why the privileged tables cannot be read; empty if every frame and episode has its row.
-
-        Raises:
-            ReadError: if a file is damaged.
-        """
-        frames, episodes = self.privileged_files()
-        if not (frames and episodes):
-            return f"{self.root} has no privileged tables: {DROPPED}"
-        found = [*self._columns(frames, FRAME_KEYS), *self._columns(episodes, EPISODE_KEYS)]
-        lengths = self.lengths
-        if len(lengths) == len(found[2]) and lengths.sum() == len(found[0]) and lengths.min() > 0:
-            number = np.repeat(np.arange(len(lengths)), lengths)
-            first = np.repeat(np.cumsum(lengths) - lengths, lengths)
-            wanted = [number, np.arange(len(number)) - first, np.arange(len(lengths))]
-            pairs = zip(found, wanted, strict=True)
-            if all(np.array_equal(one[:, 0], other) for one, other in pairs):
-                return ""
-        return f"{self.root} has the privileged tables of other episodes: {DROPPED}"
-
-    def _columns(self, files: Sequence[Path], keys: Sequence[str]) -> list[np.ndarray]:
-        """Return columns of numbers of a table of several files, (n, D) each."""
-        tables = [self.table(path, [*keys]) for path in files]
-        return [np.concatenate([column_array(table, key) for table in tables]) for key in keys]
-
-    def privileged_rows(self, feature: Feature) -> np.ndarray:
-        """Return a column of the privileged table of frames, (N, D); ReadError if its rows are not
-        those of the dataset's frames.
-        """
-        self._check_privileged()
-        (values,) = self._columns(self.privileged_files()[0], [feature.key])
-        return values.astype(feature.dtype, copy=False)
-
-    def privileged_cells(self, feature: Feature) -> list[np.ndarray]:
-        """Return a column of the privileged table of episodes, an array for each; ReadError if its
-        rows are not those of the dataset's episodes.
-        """
-        self._check_privileged()
-        cells = (
-            cell
-            for path in self.privileged_files()[1]
-            for cell in self.table(path, [feature.key])[feature.key].to_pylist()
-        )
-        return [cell_array(cell, feature) for cell in cells]
-
-    def _check_privileged(self) -> None:
-        if self.privileged_problem:
-            raise ReadError(self.privileged_problem)
+    def privileged(self) -> PrivilegedTables:
+        """The privileged tables."""
+        return PrivilegedTables(self.root, lambda: self.lengths)
 
     def table(
         self, path: Path, columns: list[str] | None = None, episode: int | None = None
@@ -530,12 +447,7 @@ class Store:
     def stored(self, index: int) -> StoredEpisode:
         """Return an episode as the tables hold it; IndexError if there is no such episode."""
         row = self.row(index)
-        self._check_privileged()
-        frames, episode = (
-            pa.concat_tables(self.table(path, episode=index) for path in files)
-            for files in self.privileged_files()
-        )
-        return StoredEpisode(row, self.frames(row), Privileged(frames, episode))
+        return StoredEpisode(row, self.frames(row), self.privileged.episode(index))
 
     def as_episode(self, stored: StoredEpisode, *, images: bool) -> Episode:
         """Return the Episode that the tables hold, with its images or without."""
@@ -560,25 +472,10 @@ class Store:
         """
         if not self.rows:  # which are checked
             return
-        self._check_privileged()
-        by_frame, by_episode = self.privileged_files()
-        frames = self._in_turn(by_frame, self.lengths)
-        episodes = self._in_turn(by_episode, np.ones_like(self.lengths))
         path, table, used = Path(), pa.table({}), 0
-        for row, *privileged in zip(self.full_rows(), frames, episodes, strict=True):
+        for row, privileged in zip(self.full_rows(), self.privileged.episodes(), strict=True):
             if (holder := self.data_path(row)) != path:
                 path, table, used = holder, self.table(holder), 0
             own = self._own(row, table.slice(used, row["length"]).combine_chunks())
-            yield StoredEpisode(row, own, Privileged(*privileged))
+            yield StoredEpisode(row, own, privileged)
             used += row["length"]
-
-    def _in_turn(self, files: Sequence[Path], counts: np.ndarray) -> Iterator[pa.Table]:
-        """Yield the next rows of a table of several files, so many at a time."""
-        rest = pa.table({})
-        remaining = iter(files)
-        for count in counts:
-            while len(rest) < count:
-                more = self.table(next(remaining))
-                rest = pa.concat_tables([rest, more]) if len(rest) else more
-            yield rest.slice(0, count).combine_chunks()
-            rest = rest.slice(count)

@@ -65,10 +65,10 @@ def edited(store: Store, manifest: Manifest | None) -> str | None:
         }
         lost = [name for name in FACTS if name not in held]
         gone = [MANIFEST_PATH]
-        gone += [] if any(store.privileged_files()) else ["the privileged tables"]
+        gone += [] if any(store.privileged.files()) else ["the privileged tables"]
         gone += [f"our columns of the episode table ({', '.join(lost[:3])}, ...)"] if lost else []
         told = f"{' and '.join(gone)} {'are' if len(gone) > 1 else 'is'} gone"
-        if any(store.privileged_files()) and store.privileged_problem:
+        if any(store.privileged.files()) and store.privileged.problem:
             told += ", and the privileged tables are those of other episodes"
     elif changed := changed_files(store.root, manifest):
         more = f" and {len(changed) - SHOWN} more" if len(changed) > SHOWN else ""

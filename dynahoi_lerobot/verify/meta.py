@@ -140,7 +140,7 @@ class _Again(DatasetWriter):
             columns = (*recording.recipe.rules.features, *privileged_features())
             encoding, subtasks = decoded(Encoding, plan["encoding"]), plan["subtasks"]
         else:
-            columns = (*described_features(described).values(), *store.privileged_features)
+            columns = (*described_features(described).values(), *store.privileged.features)
             encoding, subtasks = store.encoding, LANGUAGE in described
         super().__init__(
             root, columns, encoding, FileLimits(**plan.get("limits", {})), subtasks=subtasks
