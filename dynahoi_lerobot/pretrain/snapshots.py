@@ -76,8 +76,8 @@ class Snapshots:
 
 
 def calibration(recipe: PretrainRecipe) -> tuple[np.ndarray, np.ndarray]:
-    """Return the camera's pose (7,), as ``stats/ego_camera``, and intrinsics (4,) [px], as
-    ``stats/ego_intrinsics``.
+    """Return the camera's pose (7,), as ``ego_camera``, and intrinsics (4,) [px], as
+    ``ego_intrinsics``.
     """
     model, name = compile_scene(recipe.episodes.rules.hand_name).model, recipe.camera
     return camera_pose(model, name), intrinsics(model, name, recipe.episodes.rules.image_size)

@@ -147,10 +147,10 @@ def _verdicts(
     store: Store, recording: Recording | None, progress: Callable[[], object]
 ) -> Iterator[str]:
     hand = recording.recipe.rules.hand_name if recording else None
-    for row, table in store.stored_episodes():
-        where = f"episode {row['episode_index']}: "
+    for stored in store.stored_episodes():
+        where = f"episode {stored.row['episode_index']}: "
         try:
-            episode = store.as_episode(row, table, images=False)
+            episode = store.as_episode(stored, images=False)
             problems = list(verdict_problems(episode, hand))
         except (LookupError, ValueError, TypeError) as error:
             problems = [f"it cannot be judged: {type(error).__name__}: {error}"]

@@ -79,8 +79,8 @@ class ObActPolicy(PreTrainedPolicy):
         if dataset_meta is not None:
             from .recordings import describe, rules_of
 
-            knew, config.rig = config.forecasts, describe(dataset_meta, config.cameras)
             config.rules = rules_of(dataset_meta)
+            knew, config.rig = config.forecasts, describe(dataset_meta, config.cameras)
             if config.pretrained_path and knew and not config.forecasts:
                 raise ValueError(
                     f"{config.pretrained_path} learned from the target's path, which "
