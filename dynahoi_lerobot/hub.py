@@ -22,7 +22,7 @@ from markupsafe import Markup
 
 from dynahoi_lerobot.core.arguments import CommandError, argument, option
 from dynahoi_lerobot.core.control_mode import JOINTS
-from dynahoi_lerobot.core.reading import GIB, read_object, read_text, reading, regular
+from dynahoi_lerobot.core.reading import read_object, read_text, reading, regular
 from dynahoi_lerobot.dataset.card import markdown_template
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import CARD_PATH, CODEBASE_VERSION, INFO_PATH, MANIFEST_PATH
@@ -87,8 +87,6 @@ KIND_OPTIONS = {
 """Options that are for a push of one kind."""
 REPLAYED = 8
 """Episodes of results that are replayed before they are pushed."""
-LARGEST_FILE = 50 * GIB
-"""Largest file that the Hub takes."""
 SHOWN_METRICS = ("S_hold", "S_joint", "S_loc")
 """Metrics of results that a model card lists."""
 
@@ -141,7 +139,7 @@ def run(options: Options) -> int:
         ):  # which the client reads whole
             read_text(entry)
         elif not entry.is_dir():
-            regular(entry, LARGEST_FILE)
+            regular(entry)
     try:
         pushed = PUSHES[kind](
             options, Repository.open(options.repo, "dataset" if kind == "dataset" else "model")

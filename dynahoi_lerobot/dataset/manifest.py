@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Self, get_type_hints
 
-from dynahoi_lerobot.core.reading import FILE_BYTES, TEXT_BYTES, ReadError, read_object, sha256
+from dynahoi_lerobot.core.reading import ReadError, read_object, sha256
 from dynahoi_lerobot.dataset.paths import CARD_PATH, MANIFEST_PATH, write_json
 
 SCHEMA = 1
@@ -130,14 +130,14 @@ def changed_files(root: Path, manifest: Manifest) -> list[str]:
     return [
         path.relative_to(root).as_posix()
         for path, digest in there
-        if os.path.isfile(path) and sha256(path, FILE_BYTES) != digest
+        if os.path.isfile(path) and sha256(path) != digest
     ]
 
 
 def has_own_card(root: Path, manifest: Manifest) -> bool:
     """Tell whether the card is the one that the manifest lists."""
     card = root / CARD_PATH
-    return os.path.isfile(card) and sha256(card, TEXT_BYTES) == manifest.files.get(CARD_PATH)
+    return os.path.isfile(card) and sha256(card) == manifest.files.get(CARD_PATH)
 
 
 def _is_inside(name: str) -> bool:

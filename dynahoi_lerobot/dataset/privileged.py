@@ -168,7 +168,7 @@ class PrivilegedTables:
             name
             for files in self.files()
             for path in files[:1]
-            for name in open_table(path, ()).schema_arrow.names
+            for name in open_table(path).schema_arrow.names
         }
         return [feature for feature in privileged_features() if feature.key in names]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,8 +16,6 @@ from dynahoi_lerobot.core.features import (
     IMAGE_PREFIX,
 )
 from dynahoi_lerobot.core.reading import (
-    TABLE_BYTES,
-    TEXT_BYTES,
     ReadError,
     fits,
     open_table,
@@ -123,8 +120,8 @@ def frame_column(root: Path, key: str) -> np.ndarray:
     This is how a policy in training finds what it must not see, such as the target's pose:
     LeRobot's preprocessing passes the ``index`` of a batch's frames on (and their
     ``episode_index``), but drops every column besides observations and actions. Read the column
-    once and look frames up: ``frame_column(root, "target.pose")[index]``. A million frames take a
-    quarter of a second.
+    once and look frames up: ``frame_column(root, "target.pose")[index]``. A million frames take
+    less than half a second.
 
     Args:
         root: the dataset's folder, ``meta.root`` of LeRobot's metadata.
@@ -241,7 +238,7 @@ class Store:
         for path in self.tables():
             open_table(path).close()
         for path in (self.root / "meta").glob("*.json"):
-            regular(path, TEXT_BYTES)
+            regular(path)
         for path in self.root.glob("videos/*/*/*"):
             regular(path)
         if (told := sum(row["length"] for row in self.rows)) != self.frame_count:
@@ -253,7 +250,7 @@ class Store:
     @cached_property
     def frame_count(self) -> int:
         """Number of rows of the frame table."""
-        return sum(open_table(path, ()).metadata.num_rows for path in self.data_files())
+        return sum(open_table(path).metadata.num_rows for path in self.data_files())
 
     @property
     def features(self) -> Features:
@@ -293,7 +290,7 @@ class Store:
         rows: list[EpisodeRow] = []
         wanted, cells = row_schema(self.features), 0
         for path in self.row_files():
-            file = open_table(path, ())
+            file = open_table(path)
             held = {field.name: field.type for field in file.schema_arrow}
             for name, kind in held.items():
                 if name in wanted.names and not fits_column(kind, told := wanted.field(name).type):
@@ -418,13 +415,12 @@ class Store:
         """Return the episode's images of a view, (T, H, W, 3) uint8 RGB."""
         is_video = key in self.video_keys
         with reading(path := self.video_path(row, key) if is_video else self.data_path(row)):
-            if math.prod(shape := (row["length"], *self.features[key]["shape"])) > TABLE_BYTES:
-                raise ValueError(f"images of shape {shape} take more than {TABLE_BYTES} bytes")
             if is_video:
                 start = round(row[f"videos/{key}/from_timestamp"] * self.fps)
                 shown = decode(path, start, start + row["length"])
             else:
                 shown = (read_png(cell) for cell in table[key].to_pylist())
+            shape = (row["length"], *self.features[key]["shape"])
             images = np.empty(shape, np.uint8)
             for place, image in zip(range(row["length"]), shown, strict=True):
                 if image.shape != shape[1:]:

@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from dynahoi_lerobot.core.arguments import argument, option, whole
 from dynahoi_lerobot.core.escaping import printable
-from dynahoi_lerobot.core.reading import ReadError, decoded, reading
+from dynahoi_lerobot.core.reading import ReadError, reading, validated
 from dynahoi_lerobot.dataset.manifest import Manifest, has_own_card
 from dynahoi_lerobot.dataset.paths import CARD_PATH, MANIFEST_PATH
 from dynahoi_lerobot.dataset.store import Store
@@ -164,7 +164,7 @@ def _recording(manifest: Manifest) -> Recording | None:
     """
     with suppress(ReadError), reading(Path(MANIFEST_PATH)):
         stored = manifest.provenance.get("recording")
-        return None if stored is None else decoded(Recording, stored)
+        return None if stored is None else validated(Recording, stored)
     return None
 
 

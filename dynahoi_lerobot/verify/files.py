@@ -60,9 +60,7 @@ def edited(store: Store, manifest: Manifest | None) -> str | None:
     none, else None.
     """
     if manifest is None:
-        held = {
-            name for path in store.row_files() for name in open_table(path, ()).schema_arrow.names
-        }
+        held = {name for path in store.row_files() for name in open_table(path).schema_arrow.names}
         lost = [name for name in FACTS if name not in held]
         gone = [MANIFEST_PATH]
         gone += [] if any(store.privileged.files()) else ["the privileged tables"]
@@ -91,7 +89,7 @@ def format_problems(store: Store) -> Iterator[str]:
 
 
 def _info(store: Store) -> Iterator[str]:
-    frames = sum(open_table(path, ()).metadata.num_rows for path in store.data_files())
+    frames = sum(open_table(path).metadata.num_rows for path in store.data_files())
     if frames != (told := sum(row["length"] for row in store.rows)):
         yield f"the data files hold {frames} frames; their episodes have {told}"
     wanted = {

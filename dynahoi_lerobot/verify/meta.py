@@ -19,7 +19,7 @@ from av.video.stream import VideoStream
 
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import IMAGE_PREFIX, privileged_features
-from dynahoi_lerobot.core.reading import decoded, open_table, read_object, read_rows, read_table
+from dynahoi_lerobot.core.reading import open_table, read_object, read_rows, read_table, validated
 from dynahoi_lerobot.dataset.columns import LANGUAGE, described_features
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, row_stats
 from dynahoi_lerobot.dataset.manifest import NOT_OURS, Manifest, has_own_card
@@ -136,9 +136,9 @@ class _Again(DatasetWriter):
     def __init__(self, root: Path, store: Store, manifest: Manifest) -> None:
         plan, described = manifest.provenance, store.features
         if "recording" in plan:
-            recording = decoded(Recording, plan["recording"])
+            recording = validated(Recording, plan["recording"])
             columns = (*recording.recipe.rules.features, *privileged_features())
-            encoding, subtasks = decoded(Encoding, plan["encoding"]), plan["subtasks"]
+            encoding, subtasks = validated(Encoding, plan["encoding"]), plan["subtasks"]
         else:
             columns = (*described_features(described).values(), *store.privileged.features)
             encoding, subtasks = store.encoding, LANGUAGE in described
@@ -190,7 +190,7 @@ def _table(stored: Path, again: Path, tolerance: Callable[[str], float]) -> Iter
     """Yield how a table is other than it is made again; of images in it only the names are
     compared.
     """
-    one, other = open_table(stored, ()).schema_arrow, open_table(again, ()).schema_arrow
+    one, other = open_table(stored).schema_arrow, open_table(again).schema_arrow
     if not one.equals(other, check_metadata=True):
         yield f" has the columns {short(one)}; {short(other)} are made again"
         return
