@@ -193,7 +193,10 @@ def _adapter(hint: Any) -> TypeAdapter[Any]:
 def _in_one_sentence(error: ValidationError, name: str) -> Exception:
     """Return an error that names the first wrong key, the value received and the one allowed."""
     first = error.errors(include_url=False)[0]
-    key = ".".join(str(part) for part in ([name] if name else []) + list(first["loc"])) or "it"
+    path = [name, *first["loc"]] if name else list(first["loc"])
+    # the innermost key and places in it: people write the keys of nested dataclasses flat
+    keys = [place for place, part in enumerate(path) if isinstance(part, str)]
+    key = ".".join(map(str, path[keys[-1] if keys else 0 :])) or "it"
     if first["type"] == "value_error":
         return ValueError(first["msg"].removeprefix("Value error, "))
     if first["type"] == "missing":

@@ -239,7 +239,7 @@ def test_values_become_a_dataclass_or_a_sentence_with_key_and_value() -> None:
     values = {"name": "x", "inner": {"sizes": [3]}, "share": 1}
     assert validated(Outer, values) == Outer("x", Inner((3,)), 1.0)
     for changes, sentence in (
-        ({"inner": {"sizes": [1, "two"]}}, "inner.sizes.1 .*integer.*'two'"),
+        ({"inner": {"sizes": [1, "two"]}}, "sizes.1 .*integer.*'two'"),
         ({"name": 3}, "name .*string.*3"),
         ({"share": 2}, "share must be 0 to 1, got 2"),
         ({"name": None}, "name"),

@@ -109,7 +109,7 @@ SURPLUS = {f"more {number}": pa.nulls(300_000, pa.bool_()) for number in range(4
             lambda n: {"frame_index": pa.array([0] * n)},
             "privileged tables of other episodes",
         ),
-        (ROWS, lambda n: {"benchmark": pa.nulls(n)}, "benchmark must be"),
+        (ROWS, lambda n: {"benchmark": pa.nulls(n)}, "benchmark must be a valid string, got None"),
         (
             ROWS,
             lambda n: {"tasks": pa.array([[]] * n, pa.list_(pa.string()))},
