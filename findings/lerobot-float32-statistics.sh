@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # LeRobot 0.6.1.
 # Expected: meta/stats.json holds the standard deviation and the mean of what was recorded.
-# Seen: both come from running sums of x and x^2 in float32. A tool held at 1000 mm with 0.05 mm of noise gets a
-# standard deviation ten times too large, a barometer at 101 325 Pa one fourteen times too large, and a camera that sees constant
+# Seen: both come from running sums of x and x^2 in float32. A tool held at 1000 mm with 0.05 mm of noise gets ten
+# times its standard deviation, a barometer at 101 325 Pa with 2 Pa fourteen times, and a camera that sees constant
 # grey 200 gets the mean 197.8 and a deviation of 37 grey levels.
 # Met by: who records millimetres, pressures or encoder counts and trains a policy that divides by this deviation.
 set -euo pipefail

@@ -1,7 +1,6 @@
 #!/usr/bin/env bash
 # TorchRL 0.14.1 with Gymnasium 1.4.0.
-# Expected: over a vector environment in SAME_STEP autoreset, ("next", KEY) at the end of an episode holds the true last
-# observation, for Dict observations as for Box ones.
+# Expected: under SAME_STEP autoreset ("next", KEY) ends an episode with its true last observation, Box or Dict.
 # Seen: right for a Box; of a Dict every entry of the last observation is zero, with no warning. The first observation
 # of the following episode is right, and so is everything with autoreset DISABLED.
 # Met by: who trains on state and camera together: the value at a time limit is bootstrapped from a black image.
@@ -19,9 +18,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from torchrl.envs import GymWrapper
 
 
-class Count(gym.Env):
-    """Observes the number of its steps plus ten; an episode has three."""
-
+class Count(gym.Env):  # observes ten and the number of its steps; an episode has three
     action_space = gym.spaces.Box(-1, 1, (1,), np.float32)
 
     def __init__(self, as_dict):
@@ -29,23 +26,19 @@ class Count(gym.Env):
         self.as_dict = as_dict
         self.observation_space = gym.spaces.Dict(position=box) if as_dict else box
 
-    def observe(self):
-        value = np.float32([10 + self.steps])
-        return {"position": value} if self.as_dict else value
-
     def reset(self, *, seed=None, options=None):
-        self.steps = 0
-        return self.observe(), {}
+        self.steps = -1
+        return self.step(None)[0], {}
 
     def step(self, action):
         self.steps += 1
-        return self.observe(), 0.0, False, self.steps == 3, {}
+        value = np.float32([10 + self.steps])
+        return {"position": value} if self.as_dict else value, 0.0, False, self.steps == 3, {}
 
 
 def following(as_dict, mode):
     env = GymWrapper(SyncVectorEnv([lambda: Count(as_dict)] * 2, autoreset_mode=mode))
-    key = "position" if as_dict else "observation"
-    seen = env.rollout(5, break_when_any_done=False)["next", key]
+    seen = env.rollout(5, break_when_any_done=False)["next", "position" if as_dict else "observation"]
     print(f"{'Dict' if as_dict else 'Box'}, {mode.name}:", *seen[0, :, 0].int().tolist())
     return seen[0, :, 0].tolist()
 
