@@ -48,7 +48,7 @@ CASES = [
     ("filter DATASET", "--out DIR"),
     ("filter DATASET --out .", ". exists"),
     ("verify .", "is no LeRobot dataset"),
-    ("verify DATASET --replay 0", "got 0"),
+    ("verify DATASET --replay=-1", "got -1"),
     ("verify x --json missing/summary.json", "missing/summary.json"),
     (f"{GENERATE} --dry-run", "--dry-run needs --executor"),
     (f"{GENERATE} --expert pursit", "'pursit' (did you mean 'pursuit'?)"),
