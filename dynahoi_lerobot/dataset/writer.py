@@ -23,7 +23,7 @@ from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import IMAGE_PREFIX, Feature
 from dynahoi_lerobot.core.files import new_folder
-from dynahoi_lerobot.core.reading import require
+from dynahoi_lerobot.core.reading import MIB, require
 from dynahoi_lerobot.dataset import columns as frame_table
 from dynahoi_lerobot.dataset import episode_table, paths
 from dynahoi_lerobot.dataset.card import write_card
@@ -35,7 +35,6 @@ from dynahoi_lerobot.dataset.statistics import Stats, column_stats, image_stats,
 from dynahoi_lerobot.dataset.store import Store, frame_column
 from dynahoi_lerobot.dataset.video import Encoding, VideoFile, copied_stream, encode, encoded_stream
 
-MIB = 1 << 20
 FLUSH_ROWS = 256
 
 

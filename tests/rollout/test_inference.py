@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.core.agent import ChunkAgent, Observation
+from dynahoi_lerobot.core.conventions import frames_until
 from dynahoi_lerobot.core.protocols import one_hot_phase
 from dynahoi_lerobot.rollout.inference import (
     Inference,
     QueuedPolicy,
     RealTimeAgent,
     StepwiseInference,
-    frames_of,
 )
 
 STILL = -1.0
@@ -129,7 +129,7 @@ def test_timings_that_an_agent_does_not_support_are_refused(timing: Inference):
 def test_a_chunk_is_ready_at_the_first_frame_at_which_its_inference_has_ended(
     latency_ms: float, frames: int
 ):
-    assert frames_of(latency_ms / 1000) == frames
+    assert frames_until(latency_ms / 1000) == frames
 
 
 def stepwise(policy: QueuedPolicy, latency_ms: float, frames: int) -> list[float]:
