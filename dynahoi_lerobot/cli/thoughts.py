@@ -10,9 +10,7 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from dynahoi_lerobot.core.agent import Observation
 from dynahoi_lerobot.core.conventions import EGO_VIEW, PALM_DOF
-from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.renderers.views import VIEWS
 from dynahoi_lerobot.scene.pinhole import Pinhole
 
@@ -29,35 +27,6 @@ SIGHTED, EXPECTED, MEETING, BACK = (255, 214, 10), (64, 200, 255), (255, 70, 160
 Pixel = Callable[[np.ndarray], tuple[int, int] | None]
 TIMES_S = (0.5, 1.0, 2.4)
 """Times ahead that are written beside the forecast [s]."""
-
-
-class ThinkingAgent(PolicyAgent):
-    """A policy whose record of every decision is kept.
-
-    Attributes:
-        thoughts: one a frame of the episode that it played last.
-    """
-
-    thoughts: list[Any]
-
-    def reset(self, count: int) -> None:
-        """Forget the last episode."""
-        super().reset(count)
-        self.thoughts = []
-
-    def act(self, observation: Observation) -> np.ndarray:
-        """Return (N, 18) commands, and keep what was thought.
-
-        Raises:
-            ValueError: if the policy keeps no record of its decisions.
-        """
-        command = super().act(observation)
-        if (thought := getattr(self._policy, "thought", None)) is None:
-            raise ValueError(
-                f"--thoughts draws what ObAct records of its decisions; {self.name} records nothing"
-            )
-        self.thoughts.append(thought)
-        return command
 
 
 def drawn(episode: Episode, thoughts: Sequence[Any], batch: WorldBatch, view: str) -> np.ndarray:

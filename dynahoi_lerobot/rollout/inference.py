@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from dynahoi_lerobot.core.agent import Agent, ChunkAgent, Observation
+from dynahoi_lerobot.core.agent import Agent, Observation
 from dynahoi_lerobot.core.conventions import frames_until
 
 SYNC, ASYNC, RTC = "sync", "async", "rtc"
@@ -92,7 +92,7 @@ class Chunk:
 class RealTimeAgent(Agent):
     """Executes the chunks of an agent whose inference takes time, world by world."""
 
-    def __init__(self, agent: ChunkAgent, inference: Inference) -> None:
+    def __init__(self, agent: Agent, inference: Inference) -> None:
         """Give ``agent`` the timing ``inference``, of mode ``async`` or ``rtc``.
 
         Raises:
@@ -115,8 +115,6 @@ class RealTimeAgent(Agent):
             "trained_for",
         ):
             setattr(self, name, getattr(agent, name))
-        if inference.mode == RTC:
-            agent.enable_guidance()
         declared_ms = inference.latency_ms
         self._agent, self._continues = agent, inference.mode == RTC
         self._delay = None if declared_ms is None else frames_until(declared_ms / 1000)
@@ -138,7 +136,7 @@ class RealTimeAgent(Agent):
             self._infer(observation, starting)
             self._receive()
         else:
-            self._agent.watch(observation)
+            self._agent.observe(observation)
         commands = observation.state.astype(np.float64)
         for i, chunk in enumerate(self._running):
             if chunk is not None:
