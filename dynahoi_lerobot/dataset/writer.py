@@ -36,8 +36,8 @@ from dynahoi_lerobot.dataset.statistics import Stats, column_stats, image_stats,
 from dynahoi_lerobot.dataset.store import Store, StoredEpisode, frame_column
 from dynahoi_lerobot.dataset.video import Encoding, VideoFile, copied_stream, encode, encoded_stream
 
-MIB = 1 << 20
 FLUSH_ROWS = 256
+MIB = 2**20
 
 
 def write_episodes(
