@@ -17,7 +17,9 @@ from lerobot.datasets.dataset_tools import (
 from lerobot.datasets.video_utils import RGBEncoderConfig
 
 from dynahoi_lerobot.dataset import open_dataset
+from dynahoi_lerobot.dataset.store import frame_column
 from dynahoi_lerobot.verify.command import verify
+from tests.tools import edit_json
 from tests.verify.test_forgeries import DATA, INFO, VIDEO, column, told
 
 pytestmark = pytest.mark.slow  # LeRobot takes long to import
@@ -74,3 +76,17 @@ def test_damage_that_lerobots_format_shows_is_found(dataset: Path, tmp_path: Pat
     EDITS["delete"](dataset, tmp_path / "edited")
     damage(tmp_path / "edited")
     assert {finding.check for finding in verify(tmp_path / "edited")} == {"files", "format"}
+
+
+def test_quantiles_that_are_not_those_of_the_actions_are_said(dataset: Path, tmp_path: Path):
+    EDITS["delete"](dataset, tmp_path / "edited")
+    (before,) = verify(tmp_path / "edited")
+    assert "q01" not in before.message
+    above = frame_column(tmp_path / "edited", "action").max(axis=0) + 1
+
+    def average(stats: dict) -> None:
+        stats["action"]["q01"] = above.tolist()
+
+    edit_json(tmp_path / "edited/meta/stats.json", average)
+    (finding,) = verify(tmp_path / "edited")
+    assert "100% of the numbers in 'action' lie outside" in finding.message
