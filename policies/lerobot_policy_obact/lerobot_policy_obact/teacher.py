@@ -14,23 +14,23 @@ import torch
 from einops import repeat
 from torch import Tensor
 
-from .belief import Record, gather_frames
+from .frames import Record, gather_frames
 
 NEAREST_M, FARTHEST_M = (
     0.004,
     0.15,
 )  # least and greatest standard deviation by which palms are moved, along each axis
-LONGEST_FRAMES = 100  # a teacher looks this far ahead for a meeting
+LONGEST_FRAMES = 100  # a teacher looks this far ahead for a intercept
 CLOSED_FRAMES, CLOSING_FRAMES = (
     24,
     8,
-)  # fingers are closed this long before the meeting, and take this long to close
+)  # fingers are closed this long before the intercept, and take this long to close
 PLANNED_SPEED = 0.85
 """Share of the palm's speed limit that it plans with where that suffices: a palm that needs all of
 it comes too late whenever the forecast was wrong."""
 SLACK = 0.5
 """Within this share of the radius the palm has met the target. Without it, a hand that trails a
-slightly faster target heads for a distant meeting instead of closing the last centimetres."""
+slightly faster target heads for a distant intercept instead of closing the last centimetres."""
 NEVER = 1 << 20  # the frame of what does not happen
 # fingers that must grip take this long to close, and until then the palm must stay with the
 # target
@@ -69,7 +69,7 @@ class Answers(NamedTuple):
 
     goal: Tensor  # where to go [m], (B, Q, M, H, 3)
     closing: Tensor  # how far the fingers should be closed, 0 open, 1 closed, (B, Q, M, H)
-    frames: Tensor  # about how many are left until the meeting, (B, Q, M)
+    frames: Tensor  # about how many are left until the intercept, (B, Q, M)
     reachable: Tensor  # whether the palm can be there in time, (B, Q, M)
 
 
@@ -94,7 +94,7 @@ class Teacher:
 
         A palm that is in time nowhere goes where it misses by least.
         """
-        ahead = torch.arange(1, LONGEST_FRAMES + 1)
+        ahead = torch.arange(1, LONGEST_FRAMES + 1, device=due.device)
         frame = due[..., None] + ahead  # (B, Q, K)
         future = targets.places(frame, due)[:, :, None]  # (B, Q, 1, K, 3)
         known = (frame < targets.length[:, None, None])[:, :, None]
@@ -111,10 +111,10 @@ class Teacher:
         possible = torch.where(planned.any(-1, keepdim=True), planned, possible)
         frames = torch.where(reachable, possible.int().argmax(-1), late.argmin(-1)) + 1
         chosen = repeat(frames - 1, "b q m -> b q m 1 i", i=3)
-        meeting = future.expand(-1, -1, palms.shape[2], -1, -1).gather(3, chosen)
-        left = frames[..., None] - torch.arange(horizon)
+        intercept = future.expand(-1, -1, palms.shape[2], -1, -1).gather(3, chosen)
+        left = frames[..., None] - torch.arange(horizon, device=due.device)
         closing = ((CLOSED_FRAMES + CLOSING_FRAMES - left) / CLOSING_FRAMES).clamp(0, 1)
-        return Answers(meeting.expand(-1, -1, -1, horizon, -1), closing, frames, reachable)
+        return Answers(intercept.expand(-1, -1, -1, horizon, -1), closing, frames, reachable)
 
     def caught(
         self, targets: Targets, frame: int, palm: Tensor, moved: Tensor, closed: Tensor
@@ -138,7 +138,8 @@ class Teacher:
         """Return commands to the joints [rad], ``(..., J)``, of hands that should be closed by
         ``(...)``.
         """
-        return torch.lerp(self.open_joints, self.closed_joints, closing[..., None])
+        opened, closed = self.open_joints.to(closing), self.closed_joints.to(closing)
+        return torch.lerp(opened, closed, closing[..., None])
 
     def closed_share(self, joints: Tensor) -> Tensor:
         """Return how far joints ``(..., J)`` are closed, 0 open, 1 closed, ``(...)``."""
@@ -151,7 +152,9 @@ class Teacher:
         """
         place = targets.places(due[..., None], due)[:, :, 0]
         base = torch.stack([palm, palm, palm, place], dim=2)
-        spread = NEAREST_M * (FARTHEST_M / NEAREST_M) ** torch.rand(*base.shape[:3], 1)
+        spread = NEAREST_M * (FARTHEST_M / NEAREST_M) ** torch.rand(
+            *base.shape[:3], 1, device=base.device
+        )
         moved = base + spread * torch.randn_like(base)
         moved[:, :, 0] = palm
         return torch.where(targets.is_held(due)[..., None, None], palm[:, :, None], moved)
@@ -190,16 +193,14 @@ class Grip(Teacher):
         """See `Teacher.joints`; they are commanded to close farther than they can, which is what
         holds the target.
         """
-        return torch.lerp(
-            self.open_joints, self.closed_joints + self.expert.SQUEEZE_RAD, closing[..., None]
-        )
+        opened, closed = self.open_joints.to(closing), self.closed_joints.to(closing)
+        return torch.lerp(opened, closed + self.expert.SQUEEZE_RAD, closing[..., None])
 
     def answer(self, targets: Targets, due: Tensor, palms: Tensor, horizon: int) -> Answers:
         """See `Teacher.answer`."""
         held, n = targets.is_held(due)[:, :, None], horizon + 1
-        path = (
-            targets.places(due[..., None] + torch.arange(-1, n), due) - self.seat
-        )  # (B, Q, H + 2, 3)
+        frame = due[..., None] + torch.arange(-1, n, device=due.device)
+        path = targets.places(frame, due) - self.seat.to(palms)  # (B, Q, H + 2, 3)
         velocity, path = (path[:, :, 1] - path[:, :, 0]) * self.fps, path[:, :, None, 1:]
         offset, carried = palms - path[..., 0, :], palms
         left = (offset.norm(dim=-1) / self.expert.STEP_M).ceil().long().clamp_min(1)
