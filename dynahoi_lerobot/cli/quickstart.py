@@ -1,8 +1,8 @@
 """``dynahoi quickstart``: dataset, training, evaluation and report, in minutes on two CPU cores.
 
-generate -> lerobot-train (ObAct) -> lerobot-eval -> report. The privileged baselines, which need no
-checkpoint, are evaluated beside the training, which leaves a core idle. A stage is skipped if its
-product exists, so an interrupted quickstart resumes.
+generate -> encode -> lerobot-train (ObAct) -> lerobot-eval -> report. The privileged baselines,
+which need no checkpoint, are evaluated beside the training, which leaves a core idle. A stage is
+skipped if its product exists, so an interrupted quickstart resumes.
 """
 
 import importlib.util
@@ -108,6 +108,7 @@ def run(options: Options) -> int:
 def _run_stages(out: Path, size: Size) -> None:
     stages: list[tuple[str, Path, Callable[[Path, Size], None]]] = [
         ("generate a dataset", out / "dataset", _generate),
+        ("encode its images", out / "encoded", _encode),
         ("train ObAct on it with lerobot-train", _checkpoint(out) / WEIGHTS, _train),
         ("evaluate it with lerobot-eval", out / "results" / POLICY, _evaluate),
     ]
@@ -133,6 +134,10 @@ def _generate(out: Path, size: Size) -> None:
         raise CommandError("dynahoi generate failed; see the message above")
 
 
+def _encode(out: Path, size: Size) -> None:
+    _dynahoi(out / "encode.log", "encode", out / "dataset", out / "encoded")
+
+
 def _dynahoi(log: Path, *words: object) -> None:
     """Run a command in a process of its own, which prints into ``log``."""
     with log.open("w", encoding="utf-8") as file:
@@ -152,7 +157,7 @@ def _train(out: Path, size: Size) -> None:
     checkpoint, partial = _checkpoint(out), out / "training.partial"
     arguments = [
         f"--config_path={TRAINING}",
-        f"--dataset.root={out / 'dataset'}",
+        f"--dataset.root={out / 'encoded'}",
         f"--output_dir={partial / 'run'}",
         f"--policy.device={_device()}",
         f"--steps={size.steps}",
@@ -163,7 +168,7 @@ def _train(out: Path, size: Size) -> None:
         size.steps // LOG_STEPS,
         "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}",
     )
-    bar = {"total": total, "desc": "encoding and training", "bar_format": looks}
+    bar: dict[str, Any] = {"total": total, "desc": "training", "bar_format": looks}
     with _run_into("train", arguments, out, partial, STEPS_DONE, **bar):
         checkpoint.parent.mkdir(exist_ok=True)
         (partial / "run" / "checkpoints" / "last" / checkpoint.name).rename(checkpoint)

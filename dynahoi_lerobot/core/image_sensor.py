@@ -5,6 +5,9 @@ A distribution names its class in its ``pyproject.toml``; nothing else of the co
 
     [project.entry-points."dynahoi_lerobot.sensors"]
     eye = "lerobot_policy_obact.eye.sensor:EyeSensor"
+
+    [project.entry-points."dynahoi_lerobot.sensor_trainings"]
+    eye = "lerobot_policy_obact.eye.pretraining:Training"
 """
 
 from importlib.metadata import entry_points
@@ -14,7 +17,7 @@ import numpy as np
 
 from dynahoi_lerobot.core.registry import known
 
-GROUP = "dynahoi_lerobot.sensors"
+GROUP, TRAINING_GROUP = "dynahoi_lerobot.sensors", "dynahoi_lerobot.sensor_trainings"
 
 
 class ImageSensor(Protocol):
@@ -58,9 +61,22 @@ def image_sensor(name: str) -> Any:
     Raises:
         ValueError: if none does, or it cannot be imported.
     """
-    found = {entry.name: entry for entry in entry_points(group=GROUP)}
+    return _brought(GROUP, name)
+
+
+def sensor_training(name: str) -> Any:
+    """Return what trains an image sensor: a class that takes a recipe of `dynahoi pretrain`.
+
+    Raises:
+        ValueError: if no installed distribution brings it, or it cannot be imported.
+    """
+    return _brought(TRAINING_GROUP, name)
+
+
+def _brought(group: str, name: str) -> Any:
+    found = {entry.name: entry for entry in entry_points(group=group)}
     if not found:
-        raise ValueError(f"there is no image sensor {name!r}: install lerobot_policy_obact")
+        raise ValueError(f"no installed package brings {name!r}: install lerobot_policy_obact")
     try:
         return known("image sensor", name, found).load()
     except ImportError as error:

@@ -5,7 +5,6 @@ are.
 from __future__ import annotations
 
 import zlib
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -19,6 +18,7 @@ from dynahoi_lerobot.core.conventions import (
     RENDER_NOISE_STREAM,
 )
 from dynahoi_lerobot.core.features import EYE
+from dynahoi_lerobot.core.image_sensor import image_sensor
 from dynahoi_lerobot.core.numerics import matrix_to_rotvec, tan
 from dynahoi_lerobot.core.protocols import PROTOCOLS
 from dynahoi_lerobot.core.spec import EpisodeSpec
@@ -28,10 +28,8 @@ from dynahoi_lerobot.rules import Rules
 from dynahoi_lerobot.scene.scene import Scene
 from dynahoi_lerobot.scene.signed_distance import signed_distance
 from dynahoi_lerobot.scene.world_fields import WorldFields
+from dynahoi_lerobot.world.detector import Detector
 from dynahoi_lerobot.world.frame_history import FrameHistory
-
-if TYPE_CHECKING:
-    from dynahoi_lerobot.world.detector import Detector
 
 KINEMATICS = mujoco.mjtStage.mjSTAGE_POS.value
 STAGE_FRAMES = 32
@@ -199,17 +197,10 @@ class Cameras:
 
 
 def _detector(scene: Scene, batch: Batch, image_size: int) -> Detector:
-    """Return the eye, which comes with the ObAct plugin; ValueError if that is not installed."""
-    try:
-        from dynahoi_lerobot.world.detector import Detector
-    except ImportError as error:
-        raise ValueError(
-            f"environment_state {EYE} needs ObAct ({error}): install lerobot_policy_obact"
-        ) from error
-    model = scene.model
-    return Detector(
-        batch.nsim, camera_pose(model, EGO_VIEW), intrinsics(model, EGO_VIEW, image_size)
-    )
+    """Return the eye on the hand's camera; ValueError if nothing that is installed brings it."""
+    model, eye = scene.model, image_sensor(EYE)(EGO_VIEW)
+    pose, focal = camera_pose(model, EGO_VIEW), intrinsics(model, EGO_VIEW, image_size)
+    return Detector(eye, batch.nsim, pose, focal)
 
 
 class Stage:

@@ -116,7 +116,7 @@ class ObActConfig(PreTrainedConfig):
     optimizer_weight_decay: float = 1e-4
     optimizer_grad_clip_norm: float = 1.0
     scheduler_warmup_steps: int = 100
-    scheduler_decay_steps: int = 2_000
+    scheduler_decay_steps: int = 1_200
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -210,6 +210,11 @@ class ObActConfig(PreTrainedConfig):
     def cameras(self) -> list[str]:
         """Keys of the images."""
         return list(self.image_features)
+
+    @property
+    def sighting_keys(self) -> list[str]:
+        """Keys of the columns that hold what a frozen encoder saw in the images."""
+        return [SIGHTINGS + key.rsplit(".", maxsplit=1)[-1] for key in self.cameras]
 
     @property
     def state_keys(self) -> list[str]:

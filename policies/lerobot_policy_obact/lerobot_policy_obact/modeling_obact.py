@@ -29,7 +29,7 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from .attention import PositionReadout, TemporalBlock
 from .camera import Pinhole
-from .configuration_obact import HEADS, IMAGES, SIGHTINGS, ObActConfig
+from .configuration_obact import HEADS, ObActConfig
 from .encoders import ENCODERS, N_SIGHTING, Encoder
 from .frames import Frames, Record, gather_frames, palm_of, stepped
 from .heads import perceptron
@@ -124,7 +124,7 @@ class ObActPolicy(PreTrainedPolicy):
                 f"{meta.repo_id} lacks; "
                 "train from random weights, or record with dynahoi generate --actor"
             )
-        encoded = all(key.replace(IMAGES, SIGHTINGS) in meta.features for key in config.cameras)
+        encoded = meta.features.keys() >= {*config.sighting_keys}
         if config.n_future_steps and not encoded:
             raise ValueError(
                 f"n_future_steps is {config.n_future_steps}, but must be 0 for a dataset with "
@@ -179,7 +179,7 @@ class ObActPolicy(PreTrainedPolicy):
         config, model = self.config, self.model
         actions, offsets = batch[ACTION], config.observation_delta_indices
         b, n, device = len(actions), len(offsets), actions.device
-        columns = [key.replace(IMAGES, SIGHTINGS) for key in config.cameras]
+        columns = config.sighting_keys
         if columns[0] in batch:
             sightings = torch.stack([batch[key] for key in columns], dim=2)
         else:

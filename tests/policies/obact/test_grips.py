@@ -5,8 +5,8 @@ answers as the expert.
 from dataclasses import replace
 
 import torch
-from lerobot_policy_obact.belief import stepped
-from lerobot_policy_obact.recordings import GRIP_M
+from lerobot_policy_obact.dataset import GRIP_M
+from lerobot_policy_obact.frames import stepped
 from lerobot_policy_obact.teacher import NEVER, Grip, Targets
 
 from dynahoi_lerobot.core.agent import WorldState

@@ -5,8 +5,8 @@ the data.
 import numpy as np
 import pytest
 import torch
-from lerobot_policy_obact.belief import stepped
-from lerobot_policy_obact.recordings import RADIUS_M as RADIUS_BY_RULE
+from lerobot_policy_obact.dataset import RADIUS_M as RADIUS_BY_RULE
+from lerobot_policy_obact.frames import stepped
 from lerobot_policy_obact.teacher import (
     CLOSED_FRAMES,
     CLOSING_FRAMES,
