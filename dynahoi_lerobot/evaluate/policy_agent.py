@@ -7,6 +7,7 @@ Nothing here imports torch or LeRobot before a policy is loaded.
 import time
 from collections.abc import Callable, Sequence
 from functools import wraps
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -67,6 +68,8 @@ class PolicyAgent(ChunkAgent):
         self.trained_for = checkpoint.trained_for(folder)
         self._chunk: Any = None
         self._frame = 0
+        taken = signature(self._policy.predict_action_chunk).parameters
+        self._expects_delays = "inference_delay" in taken
         inputs = self._policy.config.input_features
         told = self.trained_for.get("environment_state") or None
         self.environment_state = told if ENVIRONMENT_STATE in inputs else ""
@@ -140,13 +143,15 @@ class PolicyAgent(ChunkAgent):
         import torch
 
         start, batch, guidance = time.perf_counter(), self._batch(observation), {}
-        if executed is not None and delays is not None:
+        if delays is not None and (executed is not None or self._expects_delays):
+            guidance["inference_delay"] = int(delays[0])
+        if executed is not None:
             # the normalised actions that are not executed yet; of a chunk that is over, where it
             # led
             left_over = self._chunk[
                 :, min(int(executed[0]), self._chunk.shape[1] - 1) :
             ]  # (N, n, 18)
-            guidance = {"prev_chunk_left_over": left_over, "inference_delay": int(delays[0])}
+            guidance["prev_chunk_left_over"] = left_over
         with torch.no_grad():  # not inference_mode: LeRobot's guidance differentiates
             try:
                 self._chunk = self._policy.predict_action_chunk(

@@ -34,6 +34,7 @@ from lerobot_policy_obact import ObActConfig, ObActPolicy, dataset, launch_polic
 from lerobot_policy_obact.configuration_obact import Embodiment
 from lerobot_policy_obact.encoders import SHIPPED
 from lerobot_policy_obact.export import export
+from lerobot_policy_obact.frames import stepped
 from safetensors.torch import load_file
 from torch.utils.data import DataLoader
 
@@ -467,6 +468,37 @@ def test_real_time_chunking_guides_no_chunk():
     policy.reset()
     after = policy.predict_action_chunk(step(policy), prev_chunk_left_over=torch.rand(2, 3, 18))
     torch.testing.assert_close(after, alone, rtol=0, atol=0)
+
+
+def test_a_chunk_that_is_late_follows_from_the_palm_as_it_will_be(monkeypatch):
+    """A hand that goes where it was told, and a chunk that is there two frames later."""
+    robot = Embodiment(palm_speed_m_s=0.5, capture="attach")
+    policy = varied(
+        horizon=6, encoder="eye", freeze_encoder=True, embodiment=robot, head="regression",
+        head_options={}
+    )  # fmt: skip
+    asked, condition = [], policy._actor.condition
+
+    def told(forecast, palm, state):
+        asked.append(palm)
+        return condition(forecast, palm, state)
+
+    monkeypatch.setattr(policy._actor, "condition", told)
+    batch, chunks, palms = step(policy), {}, []
+    for frame in range(7):
+        seen = batch | {"timestamp": torch.tensor([0.05 * frame])}
+        if frame % 2 == 0:  # an inference takes two frames, after which the next one begins
+            chunks[frame] = policy.predict_action_chunk(seen, 2)
+        else:
+            policy.observe(seen)
+        palms.append(batch["observation.state"][:, :3].clone())
+        begun = (frame - 2) // 2 * 2
+        if begun in chunks:
+            goal = chunks[begun][:, frame - begun, :3]
+            batch["observation.state"][:, :3] = stepped(palms[-1], goal, robot.step_m)
+    assert (chunks[0][:, 0] == chunks[0][:, 2]).all(), "what is past stands still"
+    torch.testing.assert_close(asked[2].float(), palms[6], atol=1e-5, rtol=0)
+    assert (palms[6] - palms[4]).norm(dim=-1).min() > robot.step_m
 
 
 def test_a_decision_tells_what_it_saw_expects_and_attends_to():
