@@ -21,7 +21,7 @@ from lerobot.utils.constants import ACTION, OBS_STATE
 from torch import Tensor
 
 from .configuration_obact import CONTACT, Embodiment
-from .teacher import LONGEST_FRAMES, NEVER, Grip, Targets, Teacher
+from .teacher import LONGEST_FRAMES, Targets, Teacher
 
 # columns of a DynaHOI dataset, see its feature table
 CAMERA_POSE, CAMERA_INTRINSICS, HAND_LIMITS = (
@@ -33,8 +33,7 @@ TARGET_PATH, LOCALIZED = "stats/target_path", "stats/localized"
 OPEN_JOINTS, CLOSED_JOINTS = "stats/open_joints", "stats/reference_joints"
 CAPTURE, WINDOW = "capture", "window_frames"
 RADIUS_M = {"attach": 0.03, "attach_lenient": 0.1}
-"""Within which a palm has the target, by the rule of capture; under others it must be gripped."""
-GRIP_M = 0.015  # within which of its seat a target that moves along with the hand is gripped
+"""Within which a palm has the target, by the rule of capture."""
 CARRIED_VIEW = "ego"  # the view of the camera that the palm carries
 CLOSED_QUANTILE = 0.6
 """Objects differ by 6 % in how far a hand closes around them; closing a little too far grasps more
@@ -93,6 +92,9 @@ def embodiment_of(meta: Any, cameras: list[str]) -> Embodiment:
             len(captures),
         )
     capture = "" if lacking else captures[0]
+    if capture == CONTACT:
+        logging.warning("targets must be gripped: only actions are learned")
+        capture = ""
     return Embodiment(
         fps=float(meta.fps),
         calibration=calibration,
@@ -132,14 +134,7 @@ class TargetTable:
             )
             for name in (OPEN_JOINTS, CLOSED_JOINTS)
         )
-        grips = embodiment.capture == CONTACT
-        teacher = (Grip if grips else Teacher)(
-            embodiment.fps,
-            embodiment.step_m,
-            open_joints,
-            closed_joints,
-            radius_m=GRIP_M if grips else embodiment.radius_m,
-        )
+        hand = embodiment.fps, embodiment.step_m, open_joints, closed_joints
         count = torch.tensor(table["length"])
         return cls(
             torch.nn.utils.rnn.pad_sequence(paths, batch_first=True),
@@ -147,7 +142,7 @@ class TargetTable:
             torch.tensor(free),
             torch.tensor([frames or 0 for frames in table[WINDOW]], dtype=torch.long),
             count.cumsum(0) - count,
-            teacher,
+            Teacher(*hand, radius_m=embodiment.radius_m),
         )
 
     def window(self, episode: Tensor, first: Tensor, n_frames: int) -> tuple[Targets, Tensor]:
@@ -160,6 +155,6 @@ class TargetTable:
         length = self.length[episode]
         frame = first[:, None] + torch.arange(n_frames + LONGEST_FRAMES)
         inside = torch.minimum(frame.clamp_min(0), length[:, None] - 1)
-        path, never = self.path[episode[:, None], inside], torch.full_like(length, NEVER)
-        targets = Targets(path, length - first, self.free[episode] - first, path, never)
+        path, free = self.path[episode[:, None], inside], self.free[episode]
+        targets = Targets(path, length - first, free - first)
         return targets, self.begin[episode] - first

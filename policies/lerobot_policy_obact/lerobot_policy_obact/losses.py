@@ -118,7 +118,7 @@ def decisions_at(window: Window, rows: Tensor, teacher: Teacher, config: ObActCo
         actions=torch.cat([answers.goal, teacher.joints(answers.closing)], dim=-1),
         weight=repeat(weight, "b q m -> b q m h", h=config.horizon),
         future=Future(
-            place=targets.places(index, rows),
+            place=targets.places(index),
             known=index < targets.length[:, None, None],
             near=_nearness(answers.frames + late, answers.reachable),
         ),
@@ -179,8 +179,7 @@ def closed_loop_loss(
     palm = gather_frames(window.frames.palm, due[:, :1].clamp_max(n - 1))
     state = gather_frames(window.frames.state, rows[:, 0])
     way = rolled_out(model, forecast, palm, state)
-    misses = teacher.misses(way - path)  # (B, R')
-    known = known[:, : misses.shape[1]]
+    misses = teacher.misses(way - path)  # (B, R)
     least = misses.masked_fill(~known, torch.inf).amin(1)
     least = least.where(least.isfinite(), 0.0)
     step = torch.sigmoid((least / teacher.radius_m - RIM) / SOFTNESS)

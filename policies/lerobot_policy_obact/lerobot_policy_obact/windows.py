@@ -269,7 +269,7 @@ def _shown_later(window: Window, frames: Tensor) -> Window:
     index = torch.arange(n, device=frames.device) + frames[:, None]
     path = gather_frames(targets.path, index.clamp_max(n - 1))
     length = targets.length.clamp_max(n) - frames
-    later = replace(targets, path=path, carried=path, length=length)
+    later = replace(targets, path=path, length=length)
     hidden, row = window.frames.hidden, torch.arange(window.recorded.shape[1], device=frames.device)
     if hidden is not None:
         hidden = row < (hidden.sum(1) - frames)[:, None]

@@ -11,7 +11,7 @@ from lerobot_policy_obact.configuration_obact import Embodiment
 from lerobot_policy_obact.frames import Frames
 from lerobot_policy_obact.losses import closed_loop_loss, window_losses
 from lerobot_policy_obact.modeling_obact import FORECAST_FRAMES, Forecast, ObActModel
-from lerobot_policy_obact.teacher import LONGEST_FRAMES, NEVER, Targets, Teacher
+from lerobot_policy_obact.teacher import LONGEST_FRAMES, Targets, Teacher
 from lerobot_policy_obact.windows import Donors, VirtualHands, Window
 from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.nn.attention import SDPBackend, sdpa_kernel
@@ -40,8 +40,8 @@ def windows(b: int = 64, error: torch.Tensor | None = None, begin: int = 5) -> W
     speed = 0.002 * torch.randn(b, 1, 3, generator=generator)
     n = LENGTH + LONGEST_FRAMES
     path = start + torch.arange(n)[:, None] * speed
-    full, never = torch.full((b,), n), torch.full((b,), NEVER)
-    targets = Targets(path, full, full, path, never)
+    full = torch.full((b,), n)
+    targets = Targets(path, full, full)
     state = torch.zeros(b, LENGTH, 18)
     view = camera().seen(path[:, :LENGTH])
     view = view if error is None else view + error
@@ -201,7 +201,7 @@ def test_a_palm_is_rolled_out_from_when_the_first_command_takes_effect(late: int
     state[:, 10 + late, :3] = path[:, 10 + late]
     window = replace(
         window,
-        targets=Targets(path, full, full, path, torch.tensor([NEVER])),
+        targets=Targets(path, full, full),
         frames=replace(window.frames, state=state),
     )
     still = lambda forecast, palm, state: palm  # noqa: E731
@@ -213,7 +213,7 @@ def test_the_closed_loop_loss_falls_where_the_head_learns_to_meet_the_target():
     """A head that sends every palm to one place, and a target that waits 12 cm away."""
     window, goal = windows(1), torch.zeros(3, requires_grad=True)
     path = torch.tensor([0.1, 0.05, -0.05]).expand(1, 200, 3)
-    window = replace(window, targets=replace(window.targets, path=path, carried=path))
+    window = replace(window, targets=replace(window.targets, path=path))
     head = lambda forecast, palm, state: torch.cat([goal.expand(1, 3), state[:, 3:]], dim=1)  # noqa: E731
     optimizer, losses = torch.optim.Adam([goal], lr=0.02), []
     for _ in range(60):
