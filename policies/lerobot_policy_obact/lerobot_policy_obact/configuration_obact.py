@@ -63,6 +63,9 @@ class ObActConfig(PreTrainedConfig):
     sightings as a column (`dynahoi encode`) and the target's path."""
     horizon: int = 8  # actions in a predicted chunk, ``H``
     n_action_steps: int = 1  # actions of a chunk that are executed before the policy replans
+    inference_delay: int = 0
+    """Actions of a chunk that will be past when it is ready, where only single actions are asked
+    for, as by `lerobot-eval`; who asks for a chunk says so himself."""
     relative_dims: int | None = None
     """Leading entries of an action that say where to go in the frame of the same entries of
     ``observation.state`` [m]; they are predicted as displacements. 0 for actions of another kind.
@@ -131,7 +134,14 @@ class ObActConfig(PreTrainedConfig):
         ):
             self._require(getattr(self, name) >= 1, name, "1 or more")
         weights = ("forecast_weight", "action_weight", "closed_loop_weight")
-        counts = ("n_future_steps", "n_points", "n_layers", "noise_seed", "imitation_steps")
+        counts = (
+            "n_future_steps",
+            "inference_delay",
+            "n_points",
+            "n_layers",
+            "noise_seed",
+            "imitation_steps",
+        )
         for name in (*counts, *weights):
             self._require(getattr(self, name) >= 0, name, "0 or more")
         self._require(
@@ -186,6 +196,11 @@ class ObActConfig(PreTrainedConfig):
     def sees_motion(self) -> bool:
         """Whether the encoder takes each image together with the one before."""
         return ENCODERS[self.encoder].sees_motion
+
+    @property
+    def sees_frames_once(self) -> bool:
+        """True: a frame that is shown again while actions are queued changes nothing."""
+        return True
 
     @property
     def history_steps(self) -> int:

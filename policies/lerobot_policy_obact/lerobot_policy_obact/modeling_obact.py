@@ -267,13 +267,24 @@ class ObActPolicy(PreTrainedPolicy):
         """Return the next action of every environment, ``(B, A)``; call it once per control step.
 
         A frame is as old as its ``timestamp`` says, or, if the batch has none, as calls at
-        ``embodiment.fps`` say.
+        ``embodiment.fps`` say. While actions are queued, a frame that is shown again counts once:
+        the world stands still until they have been read.
         """
         self.eval()
-        self._see(batch, self._now_s + 1 / self.config.embodiment.fps)
+        config = self.config
+        if not (self._action_queue and self._is_shown_again(batch)):
+            self._see(batch, self._now_s + 1 / config.embodiment.fps)
         if not self._action_queue:
-            self._action_queue.extend(self._chunk(0)[:, : self.config.n_action_steps].unbind(1))
+            chunk = self._chunk(config.inference_delay)
+            self._action_queue.extend(chunk[:, : config.n_action_steps].unbind(1))
         return self._action_queue.popleft()
+
+    def _is_shown_again(self, batch: Batch) -> bool:
+        """Whether a batch is the newest frame again."""
+        state, images = self._history[-1].state[:, 0], self._images
+        shown = {key: batch[key].to(image) for key, image in images.items()}
+        same = all(image.equal(shown[key]) for key, image in images.items())
+        return same and self._actor.state_of(batch).to(state).equal(state)
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: Batch, inference_delay: int = 0, **kwargs: Any) -> Tensor:
