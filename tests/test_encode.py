@@ -71,10 +71,10 @@ def test_it_is_signed_anew(dataset: Path, encoded: Path):
 
 def test_files_that_lerobot_knows_nothing_of_are_kept(dataset: Path, tmp_path: Path):
     root, out = shutil.copytree(dataset, tmp_path / "with"), tmp_path / "out"
-    (root / "meta/privileged").mkdir()
-    (root / "meta/privileged/notes.txt").write_text("kept")
+    (root / "meta/ours").mkdir()
+    (root / "meta/ours/notes.txt").write_text("kept")
     assert main(["encode", str(root), str(out)]) == 0
-    assert (out / "meta/privileged/notes.txt").read_text() == "kept"
+    assert (out / "meta/ours/notes.txt").read_text() == "kept"
 
 
 @pytest.mark.parametrize(

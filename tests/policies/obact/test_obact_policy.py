@@ -6,14 +6,11 @@ import json
 import pickle
 import shutil
 import sys
-from dataclasses import replace
 from itertools import chain, repeat
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 import torch
 from accelerate.state import AcceleratorState
@@ -23,7 +20,7 @@ from lerobot.async_inference.helpers import RemotePolicyConfig, TimedObservation
 from lerobot.async_inference.policy_server import PolicyServer
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
-from lerobot.datasets.dataset_tools import modify_features
+from lerobot.datasets.dataset_tools import merge_datasets, modify_features
 from lerobot.datasets.factory import resolve_delta_timestamps
 from lerobot.policies import make_pre_post_processors
 from lerobot.policies.rtc import RTCConfig
@@ -38,7 +35,6 @@ from lerobot_policy_obact.frames import stepped
 from safetensors.torch import load_file
 from torch.utils.data import DataLoader
 
-from dynahoi_lerobot.core.features import episode_features
 from dynahoi_lerobot.dataset import episode_column
 from dynahoi_lerobot.encode import encode
 from tests.checkpoints import FEATURES, SMALL_GR00T
@@ -610,22 +606,11 @@ def test_what_learned_from_the_targets_path_is_not_trained_where_there_is_none(
         ObActPolicy(config, dataset_meta=meta)
 
 
-def test_episodes_from_elsewhere_leave_the_hand_known_and_only_actions_to_learn(
-    hand_root: Path, tmp_path: Path, caplog
-):
-    root = shutil.copytree(hand_root, tmp_path / "merged")
-    # as LeRobot merges: what an episode lacks is null, and whole numbers become floats
-    (file,) = (root / "meta/episodes").glob("*/*.parquet")
-    table = pq.read_table(file)
-    for number, field in enumerate(table.schema):
-        if field.name in (dataset.CAPTURE, dataset.WINDOW, *(f.key for f in episode_features())):
-            cells = [None, *table[field.name].to_pylist()[1:]]
-            kind = pa.float64() if pa.types.is_integer(field.type) else field.type
-            table = table.set_column(number, field.name, pa.array(cells, kind))
-    pq.write_table(table, file)
-    ours, merged = (LeRobotDatasetMetadata("local/x", root=place) for place in (hand_root, root))
-    cameras = ["observation.images.ego"]
-    known, found = (dataset.embodiment_of(meta, cameras) for meta in (ours, merged))
-    assert known.capture
-    assert found == replace(known, capture="", radius_m=Embodiment.radius_m)
-    assert "1 of 4 episodes" in caplog.text
+def test_where_lerobot_has_merged_only_actions_are_learned(hand_root: Path, tmp_path: Path, caplog):
+    root = tmp_path / "merged"
+    sources = [LeRobotDataset("local/x", root=hand_root), LeRobotDataset("local/y", root=hand_root)]
+    merge_datasets(sources, "local/merged", root)
+    meta = LeRobotDatasetMetadata("local/merged", root=root)
+    found = dataset.embodiment_of(meta, ["observation.images.ego"])
+    assert found.capture == ""
+    assert "only actions are learned" in caplog.text
