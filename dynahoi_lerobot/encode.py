@@ -23,7 +23,7 @@ from dynahoi_lerobot.core.files import new_folder
 from dynahoi_lerobot.core.image_sensor import ImageSensor, image_sensor
 from dynahoi_lerobot.core.reading import reading
 from dynahoi_lerobot.dataset import paths
-from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
+from dynahoi_lerobot.dataset.manifest import ENCODED, Manifest, hash_files
 from dynahoi_lerobot.dataset.statistics import column_stats
 from dynahoi_lerobot.dataset.store import Store, open_dataset
 
@@ -88,7 +88,7 @@ def encode(root: Path, output: Path, sensor: str = EYE) -> Manifest:
             found = column_stats(values)
             stats[key] = {name: value.tolist() for name, value in found.items()}
         paths.write_json(stats, folder / paths.STATS_PATH)
-        provenance = manifest.provenance | {"encoded": {"sensor": sensor, "from": manifest.digest}}
+        provenance = manifest.provenance | {ENCODED: {"sensor": sensor, "from": manifest.digest}}
         signed = replace(manifest, provenance=provenance, files=hash_files(folder))
         signed.write(folder)
     return signed

@@ -15,6 +15,7 @@ from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.encode import SIGHTINGS_PREFIX
 from tests.conftest import Once
+from tests.tools import flip_byte
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +68,14 @@ def test_it_is_signed_anew(dataset: Path, encoded: Path):
     assert not list(file_problems(encoded, after))
     assert after.provenance["encoded"] == {"sensor": "eye", "from": before.digest}
     assert (after.seeds, after.benchmark) == (before.seeds, before.benchmark)
+
+
+def test_verify_checks_what_is_left_of_it(encoded: Path, tmp_path: Path, capsys):
+    assert main(["verify", str(encoded)]) == 0
+    assert "its images were encoded" in capsys.readouterr().out
+    root = shutil.copytree(encoded, tmp_path / "changed")
+    flip_byte(next(root.glob("data/*/*.parquet")))
+    assert main(["verify", str(root)]) == 1
 
 
 def test_files_that_lerobot_knows_nothing_of_are_kept(dataset: Path, tmp_path: Path):
