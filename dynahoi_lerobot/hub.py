@@ -25,6 +25,7 @@ from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import CARD_PATH, CODEBASE_VERSION, INFO_PATH, MANIFEST_PATH
 from dynahoi_lerobot.evaluate.arguments import TRUST
 from dynahoi_lerobot.evaluate.checkpoint import (
+    BASE,
     CONFIG,
     PLUGINS,
     TRAINING,
@@ -43,7 +44,6 @@ from dynahoi_lerobot.evaluate.replay_results import (
 )
 from dynahoi_lerobot.evaluate.results import (
     ACTIONS_FILE,
-    BASE,
     EPISODES_FILE,
     METRICS_FILE,
     WEIGHTS,

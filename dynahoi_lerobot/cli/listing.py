@@ -88,7 +88,7 @@ def _features() -> list[Row]:
 def _feature(feature: Feature, shape: str) -> Row:
     cases = [
         (feature.constant, "constant over the episode"),
-        (feature.in_episode_table, "in the episode table"),
+        (feature.privileged, f"in meta/privileged{'' if feature.by_frame else '_episodes'}"),
     ]
     cases += [(feature.per != "frame", f"a row per {feature.per}")]
     cases += [(feature.needs_contact_sensors, "only if the capture rule uses contact sensors")]

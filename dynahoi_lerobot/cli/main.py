@@ -60,7 +60,6 @@ EXTRAS = {
     "datatrove": "scale",
     "ray": "scale",
     "openai": "vlm",
-    "pydantic": "vlm",
     "aiohttp": "play",
 }
 EXTRAS |= dict.fromkeys(("lerobot", "torch", "huggingface_hub", "httpx"), "lerobot")

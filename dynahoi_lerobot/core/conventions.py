@@ -57,6 +57,9 @@ HAND_DOF = PALM_DOF + FINGER_DOF
 EGO_VIEW = "ego"
 """The view of the camera that is fixed to the hand; the camera in the model has the same name."""
 
+DEPTH, SEGMENTATION = "_depth", "_segmentation"
+"""How the names of views end whose colours are measurements."""
+
 DEFAULT_IMAGE_SIZE_PX = 128
 """Side of the square images where nothing is said [px]."""
 DETECTOR_IMAGE_SIZE_PX = 96

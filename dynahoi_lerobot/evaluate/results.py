@@ -24,13 +24,13 @@ from dynahoi_lerobot.core.nested import field_names, flat
 from dynahoi_lerobot.core.reading import (
     LeftOut,
     ReadError,
-    decoded,
     open_table,
     read_arrays,
     read_object,
     read_rows,
     reading,
     require,
+    validated,
 )  # fmt: skip
 from dynahoi_lerobot.core.working_folder import working_folder
 from dynahoi_lerobot.evaluate.rows import COLUMNS, METRIC_TYPE, Row, episode_row, measured
@@ -79,8 +79,6 @@ MOST_EPISODES = 10**4
 REMEDY = "run `dynahoi evaluate` with this folder as --out"
 WEIGHTS = "weights"
 """Key of the sha256 of a policy's files of weights, by name."""
-BASE = "base/"
-"""Names of the files of weights of an adapter's base model begin so."""
 
 
 def command_line() -> str:
@@ -233,7 +231,7 @@ class Results:
     def recipe(self) -> Recipe:
         """Return what was played; ReadError if something that it names does not exist here."""
         with reading(self.folder / METRICS_FILE):
-            return decoded(Recipe, self.info.recipe)
+            return validated(Recipe, self.info.recipe)
 
     def log(self, index: int) -> ActionLog:
         """Return what row ``index`` was played with."""

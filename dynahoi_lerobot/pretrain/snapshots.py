@@ -76,8 +76,8 @@ class Snapshots:
 
 
 def calibration(recipe: PretrainRecipe) -> tuple[np.ndarray, np.ndarray]:
-    """Return the camera's pose (7,), as ``stats/ego_camera``, and intrinsics (4,) [px], as
-    ``stats/ego_intrinsics``.
+    """Return the camera's pose (7,), as ``ego_camera``, and intrinsics (4,) [px], as
+    ``ego_intrinsics``.
     """
     rules = recipe.episodes.rules
     camera = Pinhole.of(compile_scene(rules.hand_name).model, recipe.camera)

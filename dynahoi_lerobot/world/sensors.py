@@ -249,35 +249,32 @@ class Fingertips:
         self._geom_pos, self._geom_mat = batch.bind("geom_xpos"), batch.bind("geom_xmat")
         self._site_pos, self._site_mat = batch.bind("site_xpos"), batch.bind("site_xmat")
 
-    def poses(self, origin_w: np.ndarray) -> np.ndarray:
-        """Return (N, 30), position [m] and rotation vector [rad] of each fingertip.
+    def poses(self, ids: np.ndarray, origin_w: np.ndarray) -> np.ndarray:
+        """Return (n, 30), position [m] and rotation vector [rad] of each fingertip.
 
         Args:
-            origin_w: (N, 3) from where positions are counted [m], world.
+            ids: (n,) worlds.
+            origin_w: (n, 3) from where positions are counted [m], world.
         """
-        position = self._site_pos[:, self._scene.tip_sites] - origin_w[:, None]  # (N, 5, 3)
-        rotation = self._site_mat[:, self._scene.tip_sites].reshape(
-            *position.shape, 3
-        )  # (N, 5, 3, 3)
-        return np.concatenate([position, matrix_to_rotvec(rotation)], axis=-1).reshape(
-            len(position), -1
-        )
+        tips = np.ix_(ids, self._scene.tip_sites)
+        position = self._site_pos[tips] - origin_w[:, None]  # (n, 5, 3)
+        rotation = self._site_mat[tips].reshape(*position.shape, 3)  # (n, 5, 3, 3)
+        poses = np.concatenate([position, matrix_to_rotvec(rotation)], axis=-1)  # (n, 5, 6)
+        return poses.reshape(len(ids), 6 * len(FINGERS))
 
-    def target_distance(self) -> np.ndarray:
-        """Return (N, 5), signed distance of each fingertip to the target's surface [m], negative
-        inside.
+    def target_distance(self, ids: np.ndarray) -> np.ndarray:
+        """Return (n, 5), signed distance of each fingertip to the target's surface [m], negative
+        inside, of worlds ``ids`` (n,).
         """
-        tips = self._site_pos[:, self._scene.tip_sites]  # (N, 5, 3)
+        tips = self._site_pos[np.ix_(ids, self._scene.tip_sites)]  # (n, 5, 3)
         nearest = np.full((len(tips), len(FINGERS)), np.inf)
         alpha, sizes = self._fields.fields["geom_rgba"][..., 3], self._fields.fields["geom_size"]
-        for shape, ids in self._scene.slots.items():
-            geoms = np.asarray(ids)  # (S,)
-            offset = tips[:, :, None] - self._geom_pos[:, None, geoms]  # (N, 5, S, 3)
-            rotation = self._geom_mat[:, geoms].reshape(len(tips), 1, len(geoms), 3, 3)
+        for shape, slots in self._scene.slots.items():
+            rows, slot = np.nonzero(alpha[np.ix_(ids, slots)])  # (S,) each, of what the target uses
+            world, geom = ids[rows], np.asarray(slots)[slot]
+            offset = tips[rows] - self._geom_pos[world, geom][:, None]  # (S, 5, 3)
+            rotation = self._geom_mat[world, geom].reshape(-1, 1, 3, 3)
             local = (rotation * offset[..., None]).sum(axis=-2)  # transposed rotation times offset
-            distance = signed_distance(
-                shape, local, np.broadcast_to(sizes[:, None, geoms], local.shape)
-            )
-            hidden = (alpha[:, geoms] == 0.0)[:, None]
-            nearest = np.minimum(nearest, np.where(hidden, np.inf, distance).min(axis=2))
+            size = np.broadcast_to(sizes[world, geom][:, None], local.shape)
+            np.minimum.at(nearest, rows, signed_distance(shape, local, size))
         return nearest

@@ -2,8 +2,8 @@
 
 A frozen encoder says the same of an image whenever it is asked, so all images are encoded before
 training begins, kept in memory, and on disk for the next run with the same images and weights; a
-batch then only says which episodes there are. What a dataset of DynaHOI knows of its targets (the
-``stats/`` columns of the episode table) is read at the same time and never becomes an observation.
+batch then only says which episodes there are. What a dataset of DynaHOI knows of its targets (its
+privileged tables) is read at the same time and never becomes an observation.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import json
 import logging
 import math
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -34,15 +34,15 @@ from .decisions import SPREAD, Episodes
 from .network import ObActModel
 from .teacher import NEVER, Grip, Targets, Teacher
 
-# columns of the episode table of a DynaHOI dataset, see its feature table
-CAMERA_POSE, CAMERA_INTRINSICS, HAND_LIMITS = (
-    "stats/{}_camera",
-    "stats/{}_intrinsics",
-    "stats/hand_limits",
-)
-TARGET_PATH, TARGET_POSE, LOCALIZED = "stats/target_path", "stats/target.pose", "stats/localized"
-OPEN_JOINTS, CLOSED_JOINTS = "stats/open_joints", "stats/reference_joints"
-CAPTURE, WINDOW = "capture", "window_frames"
+# the tables of a DynaHOI dataset with a row per episode, per frame, and per episode again, and
+# their columns, see its card
+EPISODES, CAPTURE, WINDOW = "meta/episodes", "capture", "window_frames"
+TRUTH, TARGET_POSE, LOCALIZED = "meta/privileged", "target.pose", "localized"
+CONSTANTS, TARGET_PATH, HAND_LIMITS = "meta/privileged_episodes", "target_path", "hand_limits"
+OPEN_JOINTS, CLOSED_JOINTS = "open_joints", "reference_joints"
+CAMERA_POSE, CAMERA_INTRINSICS = "{}_camera", "{}_intrinsics"
+SCHEMA = 1
+"""Of the datasets of DynaHOI that are read here."""
 RADIUS_M = {"attach": 0.03, "attach_lenient": 0.1}
 """Within which a palm has the target, by the rule of capture; under others it must be gripped."""
 GRIP_M = 0.015  # within which of its seat a target that moves along with the hand is gripped
@@ -78,17 +78,10 @@ class Recordings:
         """Return the dataset of LeRobot's metadata, which is on this disk, with all images encoded
         by the model.
         """
-        known = (
-            {TARGET_PATH, LOCALIZED, OPEN_JOINTS, CLOSED_JOINTS, TARGET_POSE}
-            if config.forecasts
-            else set()
-        )
-        table = episode_columns(meta, {"length", WINDOW} | known)
+        table = _table(meta, EPISODES, {"length", WINDOW})
         columns = {
-            key: torch.from_numpy(np.array(column, np.float32)).reshape(len(column), -1)
-            for key, column in _columns(
-                meta.root / "data", "index", [*config.state_keys, ACTION]
-            ).items()
+            key: _tensor(column)
+            for key, column in _table(meta, "data", {*config.state_keys, ACTION}).items()
         }
         count = torch.tensor(table["length"])
         index = (
@@ -104,30 +97,30 @@ class Recordings:
         named = torch.zeros(len(count), dtype=torch.bool)
         if not config.forecasts:
             return cls(episodes, named)
-        paths = [
-            torch.tensor(np.array(path, np.float32)).reshape(-1, 3) for path in table[TARGET_PATH]
-        ]
+        truth = _table(meta, TRUTH, {TARGET_POSE, LOCALIZED, "episode_index"})
+        if not np.array_equal(np.bincount(truth["episode_index"]), count):
+            raise ValueError(
+                f"{meta.root / TRUTH} is of other episodes than {meta.root / EPISODES}: another "
+                "tool has edited the dataset; `dynahoi verify` says what is left of it"
+            )
+        constants = _table(meta, CONSTANTS, {TARGET_PATH, OPEN_JOINTS, CLOSED_JOINTS})
+        paths = [_tensor(path) for path in constants[TARGET_PATH]]
         length, path = (
             torch.tensor([len(path) for path in paths]),
             torch.nn.utils.rnn.pad_sequence(paths, True),
         )
-        free = torch.tensor(
-            [flags.index(True) if True in flags else len(flags) for flags in table[LOCALIZED]]
-        )
+        flags = torch.tensor(truth[LOCALIZED]).split(count.tolist())
+        free = torch.tensor([int((~held).cumprod(0).sum()) for held in flags])
         targets = Targets(path, length, free, path, torch.full_like(length, NEVER))
-        poses = [np.array(poses, np.float32).reshape(-1, 7)[:, :3] for poses in table[TARGET_POSE]]
-        places = torch.from_numpy(np.concatenate(poses))[index]
+        places = _tensor(truth[TARGET_POSE])[:, :3][index]
         return cls(
-            replace(episodes, targets=targets), named, _teacher_of(config.rig, table), places
+            replace(episodes, targets=targets), named, _teacher_of(config.rig, constants), places
         )
 
 
-def _teacher_of(rig: Rig, table: dict[str, list[Any]]) -> Teacher:
-    """Return the teacher of a dataset with the episode table ``table``."""
-    joints = (
-        torch.tensor(np.stack(table[name]), dtype=torch.float32)
-        for name in (OPEN_JOINTS, CLOSED_JOINTS)
-    )
+def _teacher_of(rig: Rig, constants: dict[str, list[Any]]) -> Teacher:
+    """Return the teacher of a dataset with these constants of its episodes."""
+    joints = (_tensor(constants[name]) for name in (OPEN_JOINTS, CLOSED_JOINTS))
     kind, radius_m = (Grip, GRIP_M) if rig.capture == CONTACT else (Teacher, rig.radius_m)
     return kind(
         rig.fps,
@@ -140,45 +133,50 @@ def _teacher_of(rig: Rig, table: dict[str, list[Any]]) -> Teacher:
 def rules_of(meta: Any) -> dict[str, Any]:
     """Return how the episodes of a dataset were played, as its manifest says; nothing if it has
     none.
+
+    Raises:
+        ValueError: if the manifest is of another schema than the one that is read here.
     """
     manifest = meta.root / "meta" / "manifest.json"
-    told = json.loads(manifest.read_text()) if manifest.exists() else {}
+    if not manifest.exists():
+        return {}
+    told = json.loads(manifest.read_text())
+    if (found := told.get("schema")) != SCHEMA:
+        raise ValueError(
+            f"{manifest} has schema {found!r}, and this policy reads schema {SCHEMA}; generate the "
+            "dataset again"
+        )
     for key in ("provenance", "recording", "recipe", "rules"):
         told = told.get(key) or {}
     return told
 
 
 def describe(meta: Any, cameras: list[str]) -> Rig:
-    """Return what a dataset says of its clock, its cameras, its hand and its targets.
-
-    Episodes merged from elsewhere may lack these columns. Camera poses and hand limits then come
-    from the first episode that has them; the target's path counts only if every episode has one.
-    """
+    """Return what a dataset says of its clock, its cameras, its hand and its targets."""
     views, calibration = {key: key.split(".")[-1] for key in cameras}, {}
     of_cameras = {
         name.format(view) for view in views.values() for name in (CAMERA_POSE, CAMERA_INTRINSICS)
     }
-    table = episode_columns(meta, of_cameras | {HAND_LIMITS, CAPTURE})
+    constants = _table(meta, CONSTANTS, of_cameras | {HAND_LIMITS, TARGET_PATH})
+    captures = _table(meta, EPISODES, {CAPTURE}).get(CAPTURE)
+    if captures and not constants:
+        logging.warning(
+            "%s is gone, which LeRobot's tools drop when they edit a dataset: only actions are "
+            "learned",
+            meta.root / CONSTANTS,
+        )
     for key, view in views.items():
-        if pose := _first(table, CAMERA_POSE.format(view)):
-            focal_px, _, centre_px, _ = _first(table, CAMERA_INTRINSICS.format(view))
+        if CAMERA_POSE.format(view) in constants:
+            pose = constants[CAMERA_POSE.format(view)][0]
+            focal_px, _, centre_px, _ = constants[CAMERA_INTRINSICS.format(view)][0]
             calibration[key] = [*pose, centre_px / focal_px, float(view == CARRIED_VIEW)]
-    speed, _, latency_ms = _first(table, HAND_LIMITS) or (0.0, 0.0, 0.0)
+    speed, _, latency_ms = constants.get(HAND_LIMITS, [(0.0, 0.0, 0.0)])[0]
     # with the palm's displacement as action (control mode grasp), the teachers' answers would be of
     # another kind
     absolute = meta.features[ACTION]["shape"] == meta.features.get("observation.state", {}).get(
         "shape"
     )
-    captures: list[Any] = (
-        table[CAPTURE] if TARGET_PATH in _episode_schema(meta) and absolute else [None]
-    )
-    if (lacking := captures.count(None)) and lacking < len(captures):
-        logging.warning(
-            "%d of %d episodes lack the target's path: only actions are learned",
-            lacking,
-            len(captures),
-        )
-    capture = "" if lacking else captures[0]
+    capture = captures[0] if captures and TARGET_PATH in constants and absolute else ""
     return Rig(
         fps=float(meta.fps),
         calibration=calibration,
@@ -189,33 +187,25 @@ def describe(meta: Any, cameras: list[str]) -> Rig:
     )
 
 
-def _first(table: dict[str, list[Any]], name: str) -> Any:
-    """Return the first value of a column that is not null; None if there is none."""
-    return next((value for value in table.get(name, []) if value is not None), None)
-
-
 # -- the tables of a dataset -----------------------------------------------------------------------
 
 
-def episode_columns(meta: Any, wanted: set[str]) -> dict[str, list[Any]]:
-    """Return those of the ``wanted`` columns of the episode table that the dataset has, in the
-    order of episodes.
-
-    LeRobot's own table of episodes leaves out the columns ``stats/``.
+def _table(meta: Any, folder: str, wanted: set[str]) -> dict[str, list[Any]]:
+    """Return those of the ``wanted`` columns that the table in a folder's files has, in the order
+    of episodes and their frames; nothing if the dataset has no such table.
     """
-    return _columns(
-        meta.root / "meta/episodes", "episode_index", wanted.intersection(_episode_schema(meta))
-    )
+    if not (meta.root / folder).is_dir():
+        return {}
+    held = pq.ParquetDataset(meta.root / folder).schema.names
+    order = [key for key in ("episode_index", "frame_index") if key in held]
+    table = pq.read_table(meta.root / folder, columns=[*{*order, *wanted.intersection(held)}])
+    table = table.sort_by([(key, "ascending") for key in order])
+    return {name: table[name].to_pylist() for name in wanted.intersection(held)}
 
 
-def _episode_schema(meta: Any) -> list[str]:
-    return pq.ParquetDataset(meta.root / "meta/episodes").schema.names
-
-
-def _columns(folder: Path, order: str, names: Iterable[str]) -> dict[str, list[Any]]:
-    """Return columns of the table in a folder's files, by the column ``order``."""
-    table = pq.read_table(folder, columns=[order, *names]).sort_by(order)
-    return {name: table[name].to_pylist() for name in names}
+def _tensor(rows: list[Any]) -> Tensor:
+    """Return rows of numbers as (n, D) float32."""
+    return torch.from_numpy(np.array(rows, np.float32)).reshape(len(rows), -1)
 
 
 # -- its images, encoded ---------------------------------------------------------------------------

@@ -5,10 +5,10 @@ warning.
 import os
 import shutil
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -23,8 +23,9 @@ from lerobot_policy_obact.decisions import Episodes, episode_losses
 from lerobot_policy_obact.network import ObActModel
 from safetensors.torch import save_file
 
-from dynahoi_lerobot.core.features import episode_features
+from dynahoi_lerobot.dataset import read_episodes
 from tests.checkpoints import FEATURES
+from tests.tools import edit_json
 
 LENGTHS = [3, 4]
 
@@ -66,19 +67,18 @@ def test_every_image_is_the_one_that_lerobot_reads(dataset: Path):
         list(recordings._images(lerobot.meta, key, lengths))
 
 
-def test_episodes_from_elsewhere_leave_the_hand_known_and_only_actions_to_learn(
+def test_of_a_dataset_that_lerobot_has_merged_only_actions_are_learned(
     dataset: Path, tmp_path: Path, caplog
 ):
     root = shutil.copytree(dataset, tmp_path / "merged")
+    for name in ("manifest.json", "privileged", "privileged_episodes"):  # which LeRobot drops
+        place = root / "meta" / name
+        place.unlink() if place.is_file() else shutil.rmtree(place)
     # as LeRobot merges: what an episode lacks is null, and whole numbers become floats
     (file,) = (root / "meta/episodes").glob("*/*.parquet")
     table = pq.read_table(file)
     for number, field in enumerate(table.schema):
-        if field.name in (
-            recordings.CAPTURE,
-            recordings.WINDOW,
-            *(f.key for f in episode_features()),
-        ):
+        if field.name in (recordings.CAPTURE, recordings.WINDOW):
             cells = [None, *table[field.name].to_pylist()[1:]]
             kind = pa.float64() if pa.types.is_integer(field.type) else field.type
             table = table.set_column(number, field.name, pa.array(cells, kind))
@@ -86,8 +86,10 @@ def test_episodes_from_elsewhere_leave_the_hand_known_and_only_actions_to_learn(
     ours, merged = (LeRobotDatasetMetadata("local/ours", root=place) for place in (dataset, root))
     known, rig = (recordings.describe(meta, ["observation.images.ego"]) for meta in (ours, merged))
     assert known.capture
-    assert rig == replace(known, capture="", radius_m=Rig.radius_m)
-    assert f"1 of {merged.total_episodes} episodes" in caplog.text
+    assert known.calibration
+    assert rig == Rig(fps=known.fps)
+    assert "only actions are learned" in caplog.text
+    assert recordings.rules_of(merged) == {}
     features = dataset_to_policy_features(merged.features)
     inputs = {key: features[key] for key in ("observation.images.ego", "observation.state")}
     options = {
@@ -104,6 +106,51 @@ def test_episodes_from_elsewhere_leave_the_hand_known_and_only_actions_to_learn(
     first, second, *_ = found.episodes.window
     assert first == 0 < second
     assert found.episodes.window.dtype == torch.long
+
+
+def trainable(meta: LeRobotDatasetMetadata) -> ObActConfig:
+    """A config that learns from what the privileged tables of a dataset know."""
+    features = dataset_to_policy_features(meta.features)
+    keys = ("observation.images.ego", "observation.state")
+    return ObActConfig(
+        input_features={key: features[key] for key in keys},
+        output_features={"action": features["action"]},
+        encoder="conv",
+        encoder_options={"channels": 8},
+        cache_images=False,
+        rig=recordings.describe(meta, [keys[0]]),
+    )
+
+
+def test_targets_are_those_of_the_episodes(dataset: Path):
+    meta = LeRobotDatasetMetadata("local/ours", root=dataset)
+    config = trainable(meta)
+    found = recordings.Recordings.encoded(meta, config, ObActModel(config))
+    assert found.teacher is not None
+    assert found.places is not None
+    targets = found.episodes.targets
+    assert targets is not None
+    for number, episode in enumerate(read_episodes(dataset, images=False)):
+        length = len(episode)
+        np.testing.assert_array_equal(found.places[number, :length], episode.target_pose[:, :3])
+        path = targets.path[number, : targets.length[number]]
+        np.testing.assert_array_equal(path, episode.target_path)
+        assert targets.free[number] == (episode.first_localized or length)
+
+
+def test_privileged_tables_of_other_episodes_and_other_schemas_are_refused(
+    dataset: Path, tmp_path: Path
+):
+    root = shutil.copytree(dataset, tmp_path / "d")
+    (file,) = (root / recordings.TRUTH).glob("*/*.parquet")
+    pq.write_table(pq.read_table(file).slice(20), file)
+    meta = LeRobotDatasetMetadata("local/d", root=root)
+    config = trainable(meta)
+    with pytest.raises(ValueError, match="of other episodes"):
+        recordings.Recordings.encoded(meta, config, ObActModel(config))
+    edit_json(root / "meta/manifest.json", lambda content: content.update(schema=0))
+    with pytest.raises(ValueError, match=r"schema 0.* reads schema 1"):
+        recordings.rules_of(meta)
 
 
 def test_of_recordings_of_minutes_it_learns_ten_seconds_at_a_time_from_anywhere(
