@@ -22,8 +22,8 @@ from av.video.stream import VideoStream
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import IMAGE_PREFIX, Feature
-from dynahoi_lerobot.core.files import new_folder
-from dynahoi_lerobot.core.reading import MIB, require
+from dynahoi_lerobot.core.files import MIB, new_folder
+from dynahoi_lerobot.core.reading import require
 from dynahoi_lerobot.dataset import columns as frame_table
 from dynahoi_lerobot.dataset import episode_table, paths
 from dynahoi_lerobot.dataset.card import write_card
