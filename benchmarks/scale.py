@@ -21,8 +21,8 @@ from unittest import mock
 from support.isolated import measure_apart
 from support.options import benchmark_parser, write_numbers
 
-from dynahoi_lerobot.core.files import MIB
 from dynahoi_lerobot.dataset.merge import merge
+from dynahoi_lerobot.dataset.writer import MIB
 from dynahoi_lerobot.generate import executors
 from dynahoi_lerobot.generate.pipeline import finished, generate
 from dynahoi_lerobot.generate.plan import GenerationPlan, ShardMaker

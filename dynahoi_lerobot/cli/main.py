@@ -13,6 +13,7 @@ from typing import Any, NoReturn, TextIO, cast
 
 from dynahoi_lerobot import __version__
 from dynahoi_lerobot.core.arguments import CommandError, add_options, read_options
+from dynahoi_lerobot.core.caches import ensure_caches
 from dynahoi_lerobot.core.escaping import Terminal, shortened
 from dynahoi_lerobot.core.files import check_output
 
@@ -102,6 +103,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         )  # removes what is half made
 
     def run() -> int:
+        ensure_caches()
         name = parser.parse_args(words[:1]).command
         command = importlib.import_module(COMMANDS[name][0])
         add_options(commands.choices[name], command.Options)

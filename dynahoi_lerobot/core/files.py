@@ -9,9 +9,6 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-MIB = 2**20
-"""Bytes of a mebibyte."""
-
 
 def check_output(path: Path) -> None:
     """Refuse a file or folder that cannot be made; ValueError if the path lies below a file."""

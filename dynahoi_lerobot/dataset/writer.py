@@ -22,7 +22,7 @@ from av.video.stream import VideoStream
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import IMAGE_PREFIX, Feature
-from dynahoi_lerobot.core.files import MIB, new_folder
+from dynahoi_lerobot.core.files import new_folder
 from dynahoi_lerobot.core.reading import require
 from dynahoi_lerobot.dataset import columns as frame_table
 from dynahoi_lerobot.dataset import episode_table, paths
@@ -37,6 +37,7 @@ from dynahoi_lerobot.dataset.store import Store, StoredEpisode, frame_column
 from dynahoi_lerobot.dataset.video import Encoding, VideoFile, copied_stream, encode, encoded_stream
 
 FLUSH_ROWS = 256
+MIB = 2**20
 
 
 def write_episodes(

@@ -273,7 +273,7 @@ class Fingertips:
             rows, slot = np.nonzero(alpha[np.ix_(ids, slots)])  # (S,) each, of what the target uses
             world, geom = ids[rows], np.asarray(slots)[slot]
             offset = tips[rows] - self._geom_pos[world, geom][:, None]  # (S, 5, 3)
-            rotation = self._geom_mat[world, geom].reshape(-1, 1, 3, 3)
+            rotation = self._geom_mat[world, geom].reshape(len(rows), 1, 3, 3)
             local = (rotation * offset[..., None]).sum(axis=-2)  # transposed rotation times offset
             size = np.broadcast_to(sizes[world, geom][:, None], local.shape)
             np.minimum.at(nearest, rows, signed_distance(shape, local, size))
