@@ -25,7 +25,7 @@ from dynahoi_lerobot.experts.base import SingleWorldExpert, WorldView
 from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.sampling.sampler import sample_specs, search
 from dynahoi_lerobot.world.batch import WorldBatch
 
 DIGESTS = Path(__file__).parents[1] / "tests" / "sampling" / "benchmark_digests.json"
@@ -115,9 +115,11 @@ def pinned_seeds(split: str) -> range:
 
 
 def spec_digests(split: str, seeds: Sequence[int], *, threads: int = 0) -> dict[int, str]:
-    """Return a digest of all that each spec holds but its code, by seed."""
-    specs = sample_specs(Recipe(split=split), seeds, threads=threads)
-    return {spec.seed: spec_digest(spec) for spec in specs}
+    """Return a digest of all that each spec holds but its code, by seed; each is searched from its
+    first draw.
+    """
+    found = search(Recipe(split=split), seeds, threads=threads)
+    return {spec.seed: spec_digest(spec) for _, spec in found}
 
 
 def spec_digest(spec: EpisodeSpec) -> str:
