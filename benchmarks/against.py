@@ -29,7 +29,6 @@ SIZES: dict[str, int] = {
     field.name: field.default for field in fields(Settings) if isinstance(field.default, int)
 }
 TINY = {
-    "checkout": REPOSITORY,
     "only": ["state_env"],
     "rounds": 1,
     "num_envs": 2,
@@ -45,8 +44,8 @@ def main() -> None:
         "checkout",
         type=Path,
         nargs="?",
-        default=argparse.SUPPRESS,  # what --tiny has set stays
-        help="the build to compare with",
+        default=argparse.SUPPRESS,
+        help="the build to compare with; this one with --tiny",
     )
     parser.add_argument(
         "--only", nargs="+", choices=list(MEASURES), default=list(MEASURES), metavar="NAME",
@@ -56,6 +55,8 @@ def main() -> None:
     for name, value in SIZES.items():
         parser.add_argument(f"--{name.replace('_', '-')}", type=int, default=value)
     args = parser.parse_args()
+    if args.tiny:
+        args.checkout = REPOSITORY
     if "checkout" not in args:
         parser.error("name the CHECKOUT to compare with")
     args.checkout = args.checkout.resolve()

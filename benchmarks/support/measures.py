@@ -60,13 +60,12 @@ def plain_generation(settings: Settings) -> Numbers:
 
 def _generate(episodes: int, image_size: int, processes: int) -> Numbers:
     from dynahoi_lerobot.generate.pipeline import generate
-    from dynahoi_lerobot.generate.plan import GenerationPlan, shard_size
+    from dynahoi_lerobot.generate.plan import LARGEST_SHARD, GenerationPlan
     from dynahoi_lerobot.rollout.loop import record
     from dynahoi_lerobot.rollout.recording import Recording
 
-    plan = GenerationPlan(
-        Recording.of(image_size=image_size), episodes, shard_episodes=shard_size(episodes)
-    )
+    shard = min(LARGEST_SHARD, -(-episodes // processes))  # as in a large dataset
+    plan = GenerationPlan(Recording.of(image_size=image_size), episodes, shard_episodes=shard)
     first: list[tuple[int, float, float]] = []
 
     def note_first(done: int) -> None:

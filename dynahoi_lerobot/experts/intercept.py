@@ -2,7 +2,7 @@
 fingers in time.
 """
 
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 
@@ -109,7 +109,7 @@ def meeting_goal(world: WorldView, path_w: np.ndarray, speed_m_s: float) -> np.n
     if world.localized:
         return np.concatenate([world.state[:PALM_DOF], closed])
     arrival = earliest_arrival(world.state, closed, path_w, speed_m_s, world.control)
-    closing = np.clip((CLOSED_FRAMES + CLOSING_FRAMES - arrival) / CLOSING_FRAMES, 0.0, 1.0)
+    closing = min(max((CLOSED_FRAMES + CLOSING_FRAMES - arrival) / CLOSING_FRAMES, 0.0), 1.0)
     return np.concatenate(
         [path_w[arrival], spec.open_joints + closing * (closed - spec.open_joints)]
     )
@@ -146,6 +146,7 @@ def closed_joints(hand: str) -> np.ndarray:
     return HANDS[hand].closed_joints()
 
 
+@lru_cache(maxsize=256)  # asked in every frame, of the episodes being played
 def _closed_around(spec: EpisodeSpec) -> np.ndarray:
     """(15,) joint angles of the closed hand [rad], the same for all objects but the thinnest and
     the thickest.

@@ -10,7 +10,7 @@ from itertools import islice
 
 import numpy as np
 
-from dynahoi_lerobot.core.agent import Actor, Agent, Meeting, Observation
+from dynahoi_lerobot.core.agent import Actor, Agent, Meeting, Observation, WorldState
 from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.spec import EpisodeSpec
@@ -87,23 +87,31 @@ class Session:
             ValueError: for a wrong shape or a value that is not finite; nothing has moved then.
         """
         assert self.observation is not None, "observe before the first step"
-        columns = measure_frame(self.batch, self.observation)
+        ids = self.playing
+        columns = measure_frame(self.batch, self.observation, ids)
         images = self.observation.images if self.record_images else {}
-        self.batch.step(commands, self.playing, control_mode)
-        given = self.batch.given.copy()
-        wanted = (
-            given if labels is None else self.batch.commands.labels(labels, self.observation.state)
-        )
+        self.batch.step(commands, ids, control_mode)
+        given = self.batch.given[ids]
+        if labels is None:
+            wanted = given
+        else:
+            wanted = self.batch.commands.labels(labels, self.observation.state)[ids]
         columns |= {
             "action": wanted,
             "given_action": given,
-            "executed_action": self.batch.executed.copy(),
+            "executed_action": self.batch.executed[ids],
         }
         terminated, full = np.zeros((2, self.batch.size), bool)
-        for i, recorder in self._recorders.items():
-            recorder.add(columns, i, images)
+        for row, i in enumerate(ids):
+            recorder = self._recorders[i]
+            frame = {name: values[row] for name, values in columns.items()}
+            recorder.add(frame, {view: pixels[i] for view, pixels in images.items()})
             terminated[i], full[i] = recorder.settled(self.batch.rule), recorder.full
         return terminated, full & ~terminated
+
+    def world_state(self, observation: Observation) -> WorldState:
+        """Return what an expert sees, of the worlds that play."""
+        return self.batch.world_state(observation, self.playing)
 
     def success(self, i: int) -> bool:
         """Return the verdict on what world ``i`` has played so far."""
@@ -161,7 +169,7 @@ def play(
         if not session.playing.size:
             return
         observation = session.observe(images=(images or actor.sees_images) and not later)
-        commands = actor.commands(observation, batch.world_state)
+        commands = actor.commands(observation, session.world_state)
         terminated, truncated = session.step(commands, actor.labels, actor.control_mode)
         for i in np.flatnonzero(terminated | truncated):
             job = session.job(int(i))

@@ -250,37 +250,35 @@ class Fingertips:
         self._geom_pos, self._geom_mat = batch.bind("geom_xpos"), batch.bind("geom_xmat")
         self._site_pos, self._site_mat = batch.bind("site_xpos"), batch.bind("site_xmat")
 
-    def poses(self, origin_w: np.ndarray) -> np.ndarray:
-        """Return (N, 30), position [m] and rotation vector [rad] of each fingertip.
+    def poses(self, ids: np.ndarray, origin_w: np.ndarray) -> np.ndarray:
+        """Return (n, 30), position [m] and rotation vector [rad] of each fingertip.
 
         Args:
-            origin_w: (N, 3) from where positions are counted [m], world.
+            ids: (n,) worlds.
+            origin_w: (n, 3) from where positions are counted [m], world.
         """
-        position = self._site_pos[:, self._scene.tip_sites] - origin_w[:, None]  # (N, 5, 3)
-        rotation = self._site_mat[:, self._scene.tip_sites].reshape(
-            *position.shape, 3
-        )  # (N, 5, 3, 3)
+        tips = np.ix_(ids, self._scene.tip_sites)
+        position = self._site_pos[tips] - origin_w[:, None]  # (n, 5, 3)
+        rotation = self._site_mat[tips].reshape(*position.shape, 3)  # (n, 5, 3, 3)
         return np.concatenate([position, matrix_to_rotvec(rotation)], axis=-1).reshape(
             len(position), -1
         )
 
-    def target_distance(self) -> np.ndarray:
-        """Return (N, 5), signed distance of each fingertip to the target's surface [m], negative
-        inside.
+    def target_distance(self, ids: np.ndarray) -> np.ndarray:
+        """Return (n, 5), signed distance of each fingertip to the target's surface [m], negative
+        inside, of worlds ``ids`` (n,).
         """
-        tips = self._site_pos[:, self._scene.tip_sites]  # (N, 5, 3)
+        tips = self._site_pos[np.ix_(ids, self._scene.tip_sites)]  # (n, 5, 3)
         nearest = np.full((len(tips), len(FINGERS)), np.inf)
         alpha, sizes = self._fields.fields["geom_rgba"][..., 3], self._fields.fields["geom_size"]
-        for shape, ids in self._scene.slots.items():
-            geoms = np.asarray(ids)  # (S,)
-            offset = tips[:, :, None] - self._geom_pos[:, None, geoms]  # (N, 5, S, 3)
-            rotation = self._geom_mat[:, geoms].reshape(len(tips), 1, len(geoms), 3, 3)
+        for shape, slots in self._scene.slots.items():
+            rows, slot = np.nonzero(alpha[np.ix_(ids, slots)])  # (S,) each, of what the target uses
+            world, geom = ids[rows], np.asarray(slots)[slot]
+            offset = tips[rows] - self._geom_pos[world, geom][:, None]  # (S, 5, 3)
+            rotation = self._geom_mat[world, geom].reshape(-1, 1, 3, 3)
             local = (rotation * offset[..., None]).sum(axis=-2)  # transposed rotation times offset
-            distance = signed_distance(
-                shape, local, np.broadcast_to(sizes[:, None, geoms], local.shape)
-            )
-            hidden = (alpha[:, geoms] == 0.0)[:, None]
-            nearest = np.minimum(nearest, np.where(hidden, np.inf, distance).min(axis=2))
+            size = np.broadcast_to(sizes[world, geom][:, None], local.shape)
+            np.minimum.at(nearest, rows, signed_distance(shape, local, size))
         return nearest
 
 
@@ -291,8 +289,8 @@ def camera_pose(model: mujoco.MjModel, camera: str) -> np.ndarray:
     The hand's camera is fixed to the palm, which does not turn and has its origin at the palm
     centre; the side camera to a body that is put where the palm centre waits.
     """
-    found = model.camera(camera)
-    return np.concatenate([found.pos, found.quat])
+    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, camera)
+    return np.concatenate([model.cam_pos[number], model.cam_quat[number]])
 
 
 def intrinsics(model: mujoco.MjModel, camera: str, image_size: int) -> np.ndarray:
@@ -302,5 +300,6 @@ def intrinsics(model: mujoco.MjModel, camera: str, image_size: int) -> np.ndarra
     The centre of the first pixel is at (0.5, 0.5).
     """
     half = image_size / 2
-    focal = half / tan(np.radians(float(model.camera(camera).fovy[0])) / 2)
+    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, camera)
+    focal = half / tan(np.radians(float(model.cam_fovy[number])) / 2)
     return np.array([focal, focal, half, half])
