@@ -44,7 +44,7 @@ class Settings:
     plain_episodes: int = 256
     processes: int = os.cpu_count() or 1
     num_envs: int = 64
-    steps: int = 80
+    steps: int = 240
     image_size: int = 128
 
 

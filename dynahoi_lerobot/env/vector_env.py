@@ -26,8 +26,8 @@ from dynahoi_lerobot.metrics import measure
 from dynahoi_lerobot.rollout.inference import StepwiseInference
 from dynahoi_lerobot.rollout.loop import Session
 from dynahoi_lerobot.rollout.recorder import Job
+from dynahoi_lerobot.sampling.ahead import SpecsAhead
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.splits import kind_seed
 from dynahoi_lerobot.world.batch import WorldBatch
 
@@ -96,7 +96,7 @@ class DynahoiVectorEnv(VectorEnv):
         ``mask`` (N,) bool alone.
 
     Copies (``pickle``, ``deepcopy``) are constructed anew from the same arguments and need a reset.
-    Attributes are ``recipe``, ``kind``, ``reward`` and ``autoreset_mode``.
+    Attributes are ``recipe``, ``kind``, ``episodes``, ``reward`` and ``autoreset_mode``.
     """
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": CONTROL_HZ}  # noqa: RUF012 - gymnasium's convention
@@ -107,6 +107,7 @@ class DynahoiVectorEnv(VectorEnv):
         *,
         recipe: Recipe = DEFAULT_RECIPE,
         kind: str | None = None,
+        episodes: int | None = None,
         reward: str = SPARSE,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int = 0,
@@ -121,6 +122,8 @@ class DynahoiVectorEnv(VectorEnv):
             num_envs: N.
             recipe: the episodes; by default those of split ``test`` under the default rules.
             kind: play this kind of motion only; None for all of the recipe.
+            episodes: play the first so many episodes (of the kind) over and over, each of which is
+                drawn once; None for all.
             reward: one of ``REWARDS``.
             autoreset_mode: gymnasium's, or the value of one, such as ``SameStep``; see the class.
             threads: for physics; 0 for all cores.
@@ -141,7 +144,9 @@ class DynahoiVectorEnv(VectorEnv):
             )
         known("reward", reward, REWARDS)
         self.num_envs, self.render_mode = num_envs, render_mode
-        self.kind, self.reward = kind, reward
+        if episodes is not None and episodes < 1:
+            raise ValueError(f"episodes must be at least 1, or None for all, got {episodes}")
+        self.kind, self.episodes, self.reward = kind, episodes, reward
         self.recipe = changed(recipe, fields)
         if kind is not None and kind not in self.recipe.motion_names:
             self.recipe = replace(self.recipe, motions=(kind,))
@@ -156,6 +161,7 @@ class DynahoiVectorEnv(VectorEnv):
         )
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
         self._threads, self._on_episode, self._inference = threads, on_episode, inference
+        self._specs = SpecsAhead(self.recipe, threads=threads, keep=episodes is not None)
         self._batch = WorldBatch(rules, num_envs, threads)
         self._session = Session(self._batch, record_images=False)
         self.single_observation_space = observation_space(rules.features)
@@ -272,6 +278,10 @@ class DynahoiVectorEnv(VectorEnv):
         images = self._observed().images
         return tuple(images[EGO_VIEW] if images else self._batch.cameras.render())
 
+    def close_extras(self, **kwargs: Any) -> None:
+        """Stop drawing episodes."""
+        self._specs.close()
+
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """Return attribute ``name`` of every world, called if it is callable, like gymnasium's
         other vector envs.
@@ -306,7 +316,9 @@ class DynahoiVectorEnv(VectorEnv):
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what a copy is made from: the constructor's arguments and gymnasium's ``spec``."""
-        names = ("num_envs", "recipe", "kind", "reward", "render_mode", "autoreset_mode")
+        names = (
+            "num_envs", "recipe", "kind", "episodes", "reward", "render_mode", "autoreset_mode",
+        )  # fmt: skip
         arguments: dict[str, Any] = {name: getattr(self, name) for name in names}
         arguments |= {"threads": self._threads, "on_episode": self._on_episode}
         return {
@@ -361,12 +373,18 @@ class DynahoiVectorEnv(VectorEnv):
 
     def _begin(self, ids: np.ndarray) -> None:
         """Begin the evaluation of episode ``self._numbers[i]`` in each world ``i`` of ``ids``."""
-        seeds = [kind_seed(self.recipe, self.kind, int(self._numbers[i])) for i in ids]
-        specs = sample_specs(self.recipe, seeds, threads=max(1, self._threads))
+        specs = self._specs.take(self._seeds(self._numbers[ids]))
+        if not self._one_episode:
+            self._specs.prepare(self._seeds((self._numbers + self.num_envs) % SEED_LIMIT))
         jobs = [Job.evaluation(int(i), spec) for i, spec in zip(ids, specs, strict=True)]
         self._session.begin(ids, jobs)
         self._max_frames[ids], self._success[ids] = [job.frames for job in jobs], False
         self._potential = self._measured_potential()
+
+    def _seeds(self, numbers: np.ndarray) -> list[int]:
+        """Return the seeds of (n,) episodes, by their numbers."""
+        within = numbers if self.episodes is None else numbers % self.episodes
+        return [kind_seed(self.recipe, self.kind, number) for number in within.tolist()]
 
     def _infos(self, ending: np.ndarray) -> dict[str, Any]:
         """Finish the episodes of worlds ``ending`` (N,) bool; return the step's infos, see the

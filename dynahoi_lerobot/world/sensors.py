@@ -260,9 +260,8 @@ class Fingertips:
         tips = np.ix_(ids, self._scene.tip_sites)
         position = self._site_pos[tips] - origin_w[:, None]  # (n, 5, 3)
         rotation = self._site_mat[tips].reshape(*position.shape, 3)  # (n, 5, 3, 3)
-        return np.concatenate([position, matrix_to_rotvec(rotation)], axis=-1).reshape(
-            len(position), -1
-        )
+        poses = np.concatenate([position, matrix_to_rotvec(rotation)], axis=-1)  # (n, 5, 6)
+        return poses.reshape(len(ids), tips[1].size * poses.shape[2])
 
     def target_distance(self, ids: np.ndarray) -> np.ndarray:
         """Return (n, 5), signed distance of each fingertip to the target's surface [m], negative
@@ -275,7 +274,7 @@ class Fingertips:
             rows, slot = np.nonzero(alpha[np.ix_(ids, slots)])  # (S,) each, of what the target uses
             world, geom = ids[rows], np.asarray(slots)[slot]
             offset = tips[rows] - self._geom_pos[world, geom][:, None]  # (S, 5, 3)
-            rotation = self._geom_mat[world, geom].reshape(-1, 1, 3, 3)
+            rotation = self._geom_mat[world, geom].reshape(len(rows), 1, 3, 3)
             local = (rotation * offset[..., None]).sum(axis=-2)  # transposed rotation times offset
             size = np.broadcast_to(sizes[world, geom][:, None], local.shape)
             np.minimum.at(nearest, rows, signed_distance(shape, local, size))
