@@ -48,8 +48,8 @@ def test_preparing_in_vain_harms_nobody(drawn: list[int]):
     specs.prepare([-1, 5])  # fails, as no seed is negative
     assert [spec.seed for spec in specs.take([5])] == [5]
     specs.prepare(range(100))
-    specs.prepare([7])
-    assert [spec.seed for spec in specs.take([7])] == [7]
+    specs.prepare([200])
+    assert [spec.seed for spec in specs.take([200])] == [200]
     with pytest.raises(ValueError, match="a seed must be"):
         specs.take([-1])
     specs.close()
