@@ -168,7 +168,7 @@ USES = [
         ("matplotlib",),
     ),
     (
-        "register_envs(); gym.make('dynahoi/lob-v0', image_size=0).reset(seed=0)",
+        "gym.make('dynahoi_lerobot.env:dynahoi/lob-v0', image_size=0).reset(seed=0)",
         ("warp", "pyarrow", "cv2"),
     ),
 ]
@@ -180,7 +180,6 @@ def test_what_a_process_does_not_use_is_not_imported(
     use: str, unused: tuple[str, ...], tmp_path: Path
 ) -> None:
     main = "from dynahoi_lerobot.cli.main import main"
-    gym = "import gymnasium as gym; from dynahoi_lerobot.env import register_envs"
-    start = main if use.startswith("main") else gym
+    start = main if use.startswith("main") else "import gymnasium as gym"
     said = python("-c", f"import sys; {start}; {use}; print(*sys.modules)", str(tmp_path / "new"))
     assert not sorted({*ALWAYS, *unused} & set(said.splitlines()[-1].split()))

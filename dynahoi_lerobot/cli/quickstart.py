@@ -6,18 +6,18 @@ product exists, so an interrupted quickstart resumes.
 """
 
 import importlib.util
+import json
 import os
 import shutil
 import subprocess
 import sys
 import time
 import webbrowser
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager, redirect_stdout
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import redirect_stdout
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from tqdm import tqdm
 
@@ -28,7 +28,7 @@ from dynahoi_lerobot.core.working_folder import working_folder
 from dynahoi_lerobot.dataset.paths import check_root
 from dynahoi_lerobot.doctor import cores
 from dynahoi_lerobot.evaluate.checkpoint import WEIGHTS
-from dynahoi_lerobot.evaluate.results import read_results
+from dynahoi_lerobot.evaluate.results import METRICS_FILE, read_results
 from dynahoi_lerobot.evaluate.table import metrics_table
 from dynahoi_lerobot.report.page import render_report
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
@@ -47,10 +47,10 @@ SHOWN = ("S_loc", "S_joint", "E_loc", "R_time")
 """Metrics of the table in the terminal, which has 100 columns; the report shows all."""
 TABLE = "table.txt"
 """Written last, so that its presence says that every baseline was evaluated."""
-TASK_DONE = "metrics so far:"
-"""What the environment prints after each kind of motion."""
-STEPS_DONE, LOG_STEPS = " step:", 5
-"""What `lerobot-train` prints, and every how many steps."""
+SAVES = 10
+"""Checkpoints of a training, whose steps the progress bar shows; the last is kept."""
+POLL_S = 1.0
+"""Time between two looks at the files that LeRobot writes."""
 THREADS = {"train": 2, "eval": 1}
 """Of torch: a training step takes 0.56 s on two cores instead of 0.79 s. Clips are recorded beside
 the evaluation."""
@@ -70,7 +70,7 @@ class Size:
     kinds: int = len(KINDS)
 
 
-TINY = Size(episodes=2, steps=LOG_STEPS, per_kind=1, kinds=2)
+TINY = Size(episodes=2, steps=5, per_kind=1, kinds=2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,16 +89,18 @@ class Options:
 
 def run(options: Options) -> int:
     """Run the remaining stages; return the exit code."""
-    if missing := [name for name in NEEDS if importlib.util.find_spec(name) is None]:
+    missing = [name for name in NEEDS if importlib.util.find_spec(name) is None]
+    if missing:
         raise ValueError(
             f"training needs {', '.join(missing)}: pip install '.[lerobot]' "
             f"./envs/lerobot_env_dynahoi "
             "./policies/lerobot_policy_obact, in a checkout"
         )
-    check_root(out := options.out.resolve())
-    size = (
-        TINY if options.tiny else Size(options.episodes, options.steps, options.evaluation_episodes)
-    )
+    out = options.out.resolve()
+    check_root(out)
+    size = Size(options.episodes, options.steps, options.evaluation_episodes)
+    if options.tiny:
+        size = TINY
     start = time.monotonic()
     with working_folder(out, {"quickstart": asdict(size)}):
         _run_stages(out, size)
@@ -107,23 +109,29 @@ def run(options: Options) -> int:
 
 
 def _run_stages(out: Path, size: Size) -> None:
-    stages: list[tuple[str, Path, Callable[[Path, Size], None]]] = [
-        ("generate a dataset", out / "dataset", _generate),
-        ("train ObAct on it with lerobot-train", _checkpoint(out) / WEIGHTS, _train),
-        ("evaluate it with lerobot-eval", out / "results" / POLICY, _evaluate),
-    ]
+    """Generate, then train and evaluate beside the baselines; skip a stage whose product exists."""
+    _run_stage("[1/3] generate a dataset", out / "dataset", _generate, out, size)
     with ThreadPoolExecutor(1) as beside:
-        baselines: Future[None] | None = None
-        for number, (what, product, stage) in enumerate(stages, 1):
-            begin, done = time.monotonic(), product.exists()
-            if number > 1 and baselines is None and not (out / TABLE).exists():
-                baselines = beside.submit(_baselines, out, size)
-            if not done:
-                stage(out, size)
-            took = "already done" if done else f"{time.monotonic() - begin:.0f} s"
-            print(f"[{number}/{len(stages)}] {what}: {took}", flush=True)
+        baselines = None if (out / TABLE).exists() else beside.submit(_baselines, out, size)
+        weights = _checkpoint(out) / WEIGHTS
+        _run_stage("[2/3] train ObAct on it with lerobot-train", weights, _train, out, size)
+        results = out / "results" / POLICY
+        _run_stage("[3/3] evaluate it with lerobot-eval", results, _evaluate, out, size)
         if baselines is not None:
             baselines.result()
+
+
+def _run_stage(
+    title: str, product: Path, stage: Callable[[Path, Size], None], out: Path, size: Size
+) -> None:
+    """Run a stage unless its product exists; print its title and how long it took."""
+    begin = time.monotonic()
+    if product.exists():
+        took = "already done"
+    else:
+        stage(out, size)
+        took = f"{time.monotonic() - begin:.0f} s"
+    print(f"{title}: {took}", flush=True)
 
 
 def _generate(out: Path, size: Size) -> None:
@@ -134,49 +142,45 @@ def _generate(out: Path, size: Size) -> None:
         raise CommandError("dynahoi generate failed; see the message above")
 
 
-def _dynahoi(log: Path, *words: object) -> None:
-    """Run a command in a process of its own, which prints into ``log``."""
-    with log.open("w", encoding="utf-8") as file:
-        command = [sys.executable, "-m", "dynahoi_lerobot.cli.main", *map(str, words)]
-        if code := subprocess.run(
-            command, stdout=file, stderr=subprocess.STDOUT, env=_threads(1), check=False
-        ).returncode:
-            raise CommandError(f"dynahoi {words[0]} exited with code {code}; see {log}")
-
-
 def _checkpoint(out: Path) -> Path:
     return out / "training" / "pretrained_model"
 
 
 def _train(out: Path, size: Size) -> None:
     """Train; keep only the last checkpoint."""
-    checkpoint, partial = _checkpoint(out), out / "training.partial"
+    partial = _emptied(out / "training.partial")
+    checkpoints = partial / "run" / "checkpoints"
+    every = max(1, size.steps // SAVES)
     arguments = [
         f"--config_path={TRAINING}",
         f"--dataset.root={out / 'dataset'}",
-        f"--output_dir={partial / 'run'}",
+        f"--output_dir={checkpoints.parent}",
         f"--policy.device={_device()}",
         f"--steps={size.steps}",
-        f"--save_freq={size.steps}",
-        f"--log_freq={LOG_STEPS}",
+        f"--save_freq={every}",
+        f"--log_freq={every}",
     ]
-    total, looks = (
-        size.steps // LOG_STEPS,
-        "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}",
-    )
-    bar = {"total": total, "desc": "encoding and training", "bar_format": looks}
-    with _run_into("train", arguments, out, partial, STEPS_DONE, **bar):
-        checkpoint.parent.mkdir(exist_ok=True)
-        (partial / "run" / "checkpoints" / "last" / checkpoint.name).rename(checkpoint)
+    looks = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
+    with progress_bar(total=size.steps, desc="encoding and training", bar_format=looks) as bar:
+        run_lerobot("train", arguments, out, lambda: _steps(checkpoints), bar)
+    checkpoint = _checkpoint(out)
+    checkpoint.parent.mkdir(exist_ok=True)
+    (checkpoints / "last" / checkpoint.name).rename(checkpoint)
+    shutil.rmtree(partial)
+
+
+def _steps(checkpoints: Path) -> int:
+    """Return how many steps have been trained when the last checkpoint was saved."""
+    return max((int(folder.name) for folder in checkpoints.glob("[0-9]*")), default=0)
 
 
 def _evaluate(out: Path, size: Size) -> None:
     """Evaluate; keep the results only once every kind of motion has been played."""
-    kinds, results, partial = (
-        KINDS[: size.kinds],
-        out / "results" / POLICY,
-        out / "results" / f"{POLICY}.partial",
-    )
+    kinds = KINDS[: size.kinds]
+    episodes = len(kinds) * size.per_kind
+    results = out / "results" / POLICY
+    partial = _emptied(out / "results" / f"{POLICY}.partial")
+    made = partial / POLICY
     arguments = [
         f"--policy.path={_checkpoint(out)}",
         f"--policy.device={_device()}",
@@ -184,66 +188,72 @@ def _evaluate(out: Path, size: Size) -> None:
         f"--env.task={','.join(kinds)}",
         f"--env.split={SMALL_TEST}",
         f"--env.image_size={IMAGE_SIZE}",
-        f"--env.results_dir={partial / results.name}",
+        f"--env.results_dir={made}",
         f"--eval.n_episodes={size.per_kind}",
         f"--eval.batch_size={size.per_kind}",
         "--seed=0",
         f"--output_dir={out / 'lerobot_eval'}",
     ]
     with ThreadPoolExecutor(1) as beside:
-        filmed = beside.submit(_film, out, min(GIFS, len(kinds) * size.per_kind))
-        with _run_into(
-            "eval",
-            arguments,
-            out,
-            partial,
-            TASK_DONE,
-            total=len(kinds),
-            desc="evaluating",
-            unit="kind",
-        ):
-            for clip in (film := filmed.result()).glob("*.gif"):
-                clip.rename(partial / results.name / clip.name)
-            shutil.rmtree(film, ignore_errors=True)
-            (partial / results.name).rename(results)
-
-
-@contextmanager
-def _run_into(
-    command: str, arguments: list[str], out: Path, partial: Path, step: str, **bar: Any
-) -> Iterator[None]:
-    """Run ``lerobot-train`` or ``lerobot-eval``; the body moves what is kept out of ``partial``."""
-    log = out / f"lerobot_{command}.log"
-    shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir(parents=True)
-    with progress_bar(**bar) as progress:
-        code = run_lerobot(command, arguments, log, step, progress)
-    if code:
-        raise CommandError(f"lerobot-{command} exited with code {code}; see {log}")
-    yield
+        filmed = beside.submit(_film, out, min(GIFS, episodes))
+        with progress_bar(total=episodes, desc="evaluating", unit="episode") as bar:
+            run_lerobot("eval", arguments, out, lambda: _played(made), bar)
+        film = filmed.result()
+    for clip in film.glob("*.gif"):
+        clip.rename(made / clip.name)
+    shutil.rmtree(film, ignore_errors=True)
+    made.rename(results)
     shutil.rmtree(partial)
 
 
-def run_lerobot(command: str, arguments: list[str], log: Path, step: str, bar: tqdm) -> int:
-    """Return the exit code of ``lerobot-<command>``, which prints into ``log``; ``bar`` counts
-    lines with ``step``.
+def _played(results: Path) -> int:
+    """Return how many episodes the environment has written; it does after every kind of motion."""
+    head = results / METRICS_FILE
+    return json.loads(head.read_text())["n"] if head.exists() else 0
+
+
+def _emptied(folder: Path) -> Path:
+    """Make a folder anew."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    return folder
+
+
+def run_lerobot(
+    command: str, arguments: list[str], out: Path, done: Callable[[], int], bar: tqdm
+) -> None:
+    """Run ``lerobot-<command>``, which prints into a log below ``out``; ``bar`` shows what is
+    ``done``.
+
+    Raises:
+        CommandError: if it fails.
     """
-    process = subprocess.Popen(
-        [sys.executable, "-m", f"lerobot.scripts.lerobot_{command}", *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        env=_threads(min(THREADS[command], cores())),
-        encoding="utf-8",
-        errors="replace",
-    )
-    assert process.stdout is not None
-    with process, log.open("w", encoding="utf-8") as file:
-        file.write(f"lerobot-{command} {' '.join(arguments)}\n")
-        for line in process.stdout:
-            file.write(line)
-            bar.update(step in line)
-        bar.refresh()  # the last lines come in a burst, of which tqdm shows the first alone
-    return process.returncode
+    log = out / f"lerobot_{command}.log"
+    words = [sys.executable, "-m", f"lerobot.scripts.lerobot_{command}", *arguments]
+    with log.open("w", encoding="utf-8") as file:
+        print(f"lerobot-{command}", *arguments, file=file, flush=True)
+        environment = _threads(min(THREADS[command], cores()))
+        process = subprocess.Popen(words, stdout=file, stderr=subprocess.STDOUT, env=environment)
+        try:
+            while process.poll() is None:
+                time.sleep(POLL_S)
+                bar.update(done() - bar.n)
+        finally:
+            process.terminate()
+            process.wait()
+    bar.update(done() - bar.n)
+    bar.refresh()
+    if process.returncode:
+        raise CommandError(f"lerobot-{command} exited with code {process.returncode}; see {log}")
+
+
+def _dynahoi(log: Path, *words: object) -> None:
+    """Run a command in a process of its own, which prints into ``log``."""
+    command = [sys.executable, "-m", "dynahoi_lerobot.cli.main", *map(str, words)]
+    with log.open("w", encoding="utf-8") as file:
+        code = subprocess.call(command, stdout=file, stderr=subprocess.STDOUT, env=_threads(1))
+    if code:
+        raise CommandError(f"dynahoi {words[0]} exited with code {code}; see {log}")
 
 
 def _threads(count: int) -> dict[str, str]:
@@ -253,7 +263,8 @@ def _threads(count: int) -> dict[str, str]:
 
 def _film(out: Path, count: int) -> Path:
     """Record the trained policy's first ``count`` episodes as GIFs; return their folder."""
-    shutil.rmtree(film := out / "film", ignore_errors=True)
+    film = out / "film"
+    shutil.rmtree(film, ignore_errors=True)
     words = ["--policy", _checkpoint(out), "--out", film, "--episodes", count, "--gifs", count]
     _dynahoi(out / "film.log", "evaluate", *words)
     return film
@@ -268,19 +279,10 @@ def _device() -> str:
 
 def _baselines(out: Path, size: Size) -> None:
     """Evaluate the privileged baselines on the same episodes."""
-    count = size.kinds * size.per_kind
+    options = ["--episodes", size.kinds * size.per_kind, "--image-size", 0]
     for name in BASELINES:
-        words = [
-            "--policy",
-            name,
-            "--out",
-            out / "results" / name,
-            "--episodes",
-            count,
-            "--image-size",
-            0,
-        ]
-        _dynahoi(out / f"{name}.log", "evaluate", *words)
+        folder = out / "results" / name
+        _dynahoi(out / f"{name}.log", "evaluate", "--policy", name, "--out", folder, *options)
 
 
 def _conclude(out: Path, start: float, *, show: bool) -> None:
@@ -291,13 +293,9 @@ def _conclude(out: Path, start: float, *, show: bool) -> None:
     names = [result.marked(result.info.policy) for result in results]
     table = replace(metrics_table(names, results, SHOWN), caption="").as_text()
     (out / TABLE).write_text(table + "\n")
-    print(
-        f"\n{table}\n\nThese scores follow a short training; docs/results.md lists those of the "
-        f"whole recipe."
-    )
-    print(
-        f"done in {time.monotonic() - start:.0f} s; the report, with all metrics: "
-        f"{page.resolve().as_uri()}"
-    )
+    address = page.resolve().as_uri()
+    print(f"\n{table}\n")
+    print("These scores follow a short training; docs/results.md lists those of the whole recipe.")
+    print(f"done in {time.monotonic() - start:.0f} s; the report, with all metrics: {address}")
     if show:
-        webbrowser.open(page.resolve().as_uri())
+        webbrowser.open(address)

@@ -201,7 +201,7 @@ def _in_one_sentence(error: ValidationError, name: str) -> Exception:
         return ValueError(first["msg"].removeprefix("Value error, "))
     if first["type"] == "missing":
         return TypeError(f"it has no {key!r}")
-    allowed = first["msg"].replace("Input should be", "must be", 1)
+    allowed = first["msg"].replace("Input should be", "must be", 1).replace("valid array", "list")
     return TypeError(f"{key} {allowed}, got {first['input']!r:.80}")
 
 

@@ -120,8 +120,8 @@ def frame_column(root: Path, key: str) -> np.ndarray:
     This is how a policy in training finds what it must not see, such as the target's pose:
     LeRobot's preprocessing passes the ``index`` of a batch's frames on (and their
     ``episode_index``), but drops every column besides observations and actions. Read the column
-    once and look frames up: ``frame_column(root, "target.pose")[index]``. A million frames take a
-    quarter of a second.
+    once and look frames up: ``frame_column(root, "target.pose")[index]``. A million frames take
+    less than half a second.
 
     Args:
         root: the dataset's folder, ``meta.root`` of LeRobot's metadata.

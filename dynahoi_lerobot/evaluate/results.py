@@ -79,8 +79,6 @@ MOST_EPISODES = 10**4
 REMEDY = "run `dynahoi evaluate` with this folder as --out"
 WEIGHTS = "weights"
 """Key of the sha256 of a policy's files of weights, by name."""
-BASE = "base/"
-"""Names of the files of weights of an adapter's base model begin so."""
 
 
 def command_line() -> str:

@@ -12,7 +12,7 @@ from dynahoi_lerobot.core.protocols import ControlClass
 from dynahoi_lerobot.core.registry import Registry
 from dynahoi_lerobot.core.spec import EpisodeSpec
 
-EXPERTS: Registry[type[Expert]] = Registry("expert", "dynahoi_lerobot.experts")
+EXPERTS: Registry[type[Expert]] = Registry("expert")
 
 
 @dataclass(frozen=True, eq=False)

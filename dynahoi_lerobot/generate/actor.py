@@ -14,14 +14,22 @@ import dynahoi_lerobot
 from dynahoi_lerobot.core.agent import Agent, Observation
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE
 from dynahoi_lerobot.core.reading import read_object, sha256
-from dynahoi_lerobot.evaluate.checkpoint import CONFIG, PolicyError, checked_folder
+from dynahoi_lerobot.evaluate.checkpoint import (
+    ADAPTER,
+    CONFIG,
+    WEIGHTS,
+    PolicyError,
+    base_folder,
+    checked_folder,
+)
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.sampling.fingerprint import hash_packages
 
 POLICY_SOURCE = "evaluate/policy_agent.py"
 """Source between a policy and the worlds; no expert passes there."""
-PARTS = (CONFIG, "policy_*.json", "*.safetensors")
-"""Files of a checkpoint from which a policy and its processors are loaded."""
+PARTS = (CONFIG, ADAPTER, "policy_*.json", "*.safetensors")
+"""Files of a checkpoint from which a policy and its processors are loaded, besides the weights of
+an adapter's base."""
 
 
 class RecordedPolicy(Agent):
@@ -112,6 +120,9 @@ def actor_name(path: str) -> str:
     for file in sorted({file for part in PARTS for file in folder.glob(part)}):
         digest.update(file.name.encode())
         digest.update(bytes.fromhex(sha256(file)))
+    base = base_folder(folder)
+    if base is not None:
+        digest.update(bytes.fromhex(sha256(base / WEIGHTS)))
     return f"{read_object(folder / CONFIG, {'type': str})['type']}@{digest.hexdigest()[:16]}"
 
 

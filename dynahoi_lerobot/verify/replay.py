@@ -105,17 +105,13 @@ def differences(made: Mapping[str, Any], stored: Mapping[str, Any]) -> Iterator[
 def replay_problems(
     store: Store,
     indices: list[int],
-    recording: Recording | None,
+    recording: Recording,
     note: Callable[[str], object],
 ) -> Iterator[str]:
-    """Play episodes again by the manifest's recording, None if it cannot be read, and yield what
-    differs.
+    """Play episodes again by the manifest's recording and yield what differs.
 
     ``note`` is told in a sentence what was found equal, and that other code made the dataset.
     """
-    if recording is None:
-        yield "the manifest describes no recording that can be played again"
-        return
     made_with, here = Manifest.read(store.root).provenance.get("code"), code_fingerprint()
     if made_with != here:
         note(f"made by other code ({made_with}, here is {here}), so that it may play differently")

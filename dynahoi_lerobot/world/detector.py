@@ -9,6 +9,7 @@ import torch
 from einops import rearrange
 from lerobot_policy_obact.camera import Pinhole
 from lerobot_policy_obact.encoders import Eye
+from lerobot_policy_obact.threads import on_one_thread
 
 from dynahoi_lerobot.core.features import SIGHTING_AGES
 from dynahoi_lerobot.world.frame_history import FrameHistory
@@ -66,6 +67,7 @@ class Detector:
         seen = rearrange(self._places.values[SIGHTING_AGES, :], "a n i -> n (a i)")
         return np.concatenate([seen, self._scales], axis=1).round(DECIMALS).astype(np.float32)
 
+    @on_one_thread
     @torch.inference_mode()
     def _sighted(self, image: torch.Tensor, before: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
         """Return the target's place from the palm [m], (3,), and log scales, (2,); images are (1,

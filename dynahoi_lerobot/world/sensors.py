@@ -261,7 +261,7 @@ class Fingertips:
         position = self._site_pos[tips] - origin_w[:, None]  # (n, 5, 3)
         rotation = self._site_mat[tips].reshape(*position.shape, 3)  # (n, 5, 3, 3)
         poses = np.concatenate([position, matrix_to_rotvec(rotation)], axis=-1)  # (n, 5, 6)
-        return poses.reshape(len(ids), tips[1].size * poses.shape[2])
+        return poses.reshape(len(ids), 6 * len(FINGERS))
 
     def target_distance(self, ids: np.ndarray) -> np.ndarray:
         """Return (n, 5), signed distance of each fingertip to the target's surface [m], negative

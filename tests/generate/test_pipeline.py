@@ -116,10 +116,11 @@ def test_other_datasets_are_left_alone(reference, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "change", [{"episodes": 0}, {"seed": -1}, {"recipe": Recipe.of(image_size=33)}]
+    ("change", "value"),
+    [({"episodes": 0}, "0"), ({"seed": -1}, "-1"), ({"recipe": Recipe.of(image_size=33)}, "33")],
 )
-def test_impossible_plans_are_refused(change):
-    with pytest.raises(ValueError, match=str(next(iter(change.values())))):
+def test_impossible_plans_are_refused(change, value):
+    with pytest.raises(ValueError, match=value):
         plan(**change)
 
 

@@ -76,7 +76,6 @@ def test_failures_are_kept_in_their_place_and_marked(tmp_path):
     assert 0 < failed < 8
     assert manifest.yields == {"tried": 8, "kept": 8, "failed": failed, "missed": 0, "rejected": 0}
     for episode in read_episodes(tmp_path / "d", images=False):
-        assert (episode.reward.max() >= 1.0) == episode.success
         assert episode.succeeded[-1] == episode.success
         assert episode.attempt_success.tolist() == [episode.success]
     assert verify(tmp_path / "d", replayed=3) == []

@@ -6,11 +6,9 @@ gymnasium ids.
 
 from importlib.metadata import version
 
-from dynahoi_lerobot.env import register_envs
+import dynahoi_lerobot.env  # noqa: F401 - registers the ids
 from lerobot_env_dynahoi.configuration_dynahoi import DynahoiEnvConfig
 
 __version__ = version("lerobot_env_dynahoi")
-
-register_envs()
 
 __all__ = ["DynahoiEnvConfig"]

@@ -1,12 +1,15 @@
 """The config behind ``--env.type=dynahoi``: what LeRobot may set, and the vector envs it gets."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, make_dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, get_type_hints
 
 import gymnasium as gym
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
+from lerobot.processor import PolicyProcessorPipeline, RenameObservationsProcessorStep
 from lerobot.utils.constants import OBS_ENV_STATE
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
@@ -107,7 +110,7 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
         launch = read_launch(policy_config=timing.mode != SYNC)
         recipe = self.recipe(launch.rules)
         self._announce(launch)
-        self._describe(recipe.rules)
+        self._describe(recipe.rules, launch.renames)
         policy = None if timing.mode == SYNC else launch.queued_policy(self.n_action_steps)
         log = self._log(launch, recipe, timing)
         suites: dict[str, dict[int, gym.vector.VectorEnv]] = {}
@@ -120,6 +123,13 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
             }
             tasks[len(tasks)] = TaskEnv(n_envs, on_episode=log, kind=kind, **options)
         return suites
+
+    def get_env_processors(self) -> tuple[PolicyProcessorPipeline, PolicyProcessorPipeline]:
+        """Return what LeRobot passes observations and actions through: the images get the names
+        that the policy of the command line knows them by.
+        """
+        renaming = RenameObservationsProcessorStep(read_launch().renames)
+        return PolicyProcessorPipeline([renaming]), PolicyProcessorPipeline([])
 
     def _log(self, launch: Launch, recipe: Recipe, timing: Inference) -> ResultsLog:
         """Return what writes the results."""
@@ -144,7 +154,7 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
         if told:
             print(f"playing as the policy was trained: {', '.join(told)}")
 
-    def _describe(self, rules: Rules) -> None:
+    def _describe(self, rules: Rules, renames: Mapping[str, str] = MappingProxyType({})) -> None:
         """Fill in ``features`` (by Gymnasium key, images by dataset key) and ``features_map``.
 
         LeRobot's recording of evaluations looks for images under dataset keys, and for all else
@@ -158,7 +168,9 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
         self.features = {
             key: PolicyFeature(_type(feature), feature.shape) for key, feature in shown.items()
         }
-        self.features_map = {key: feature.key for key, feature in shown.items()}
+        self.features_map = {
+            key: renames.get(feature.key, feature.key) for key, feature in shown.items()
+        }
 
 
 def _type(feature: Feature) -> FeatureType:

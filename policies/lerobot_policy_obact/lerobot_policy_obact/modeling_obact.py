@@ -24,6 +24,7 @@ from .belief import Frames, palm_of, stepped
 from .configuration_obact import ObActConfig
 from .encoders import N_SIGHTING
 from .network import ObActModel
+from .threads import on_one_thread
 
 if TYPE_CHECKING:
     from .decisions import Episodes
@@ -212,6 +213,7 @@ class ObActPolicy(PreTrainedPolicy):
         self._sent: deque[Tensor] = deque(maxlen=self.config.rig.delay_frames + 1)
         self.thought: Thought | None = None  # the newest decision
 
+    @on_one_thread
     @torch.no_grad()
     def select_action(self, batch: Batch, **kwargs: Any) -> Tensor:
         """Return the next action of every environment, ``(B, A)``; call it once per control step.
@@ -227,6 +229,7 @@ class ObActPolicy(PreTrainedPolicy):
         self._sent.append(palm_of(action))
         return action
 
+    @on_one_thread
     @torch.no_grad()
     def predict_action_chunk(self, batch: Batch, **kwargs: Any) -> Tensor:
         """Return a whole chunk, ``(B, H, A)``; see `observe`.
@@ -238,6 +241,7 @@ class ObActPolicy(PreTrainedPolicy):
         self.observe(batch)
         return self._chunk()
 
+    @on_one_thread
     @torch.no_grad()
     def observe(self, batch: Batch) -> None:
         """Add a frame to the history without acting, for callers that ask for chunks now and then.
