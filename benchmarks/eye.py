@@ -98,7 +98,7 @@ def _visited(
             np.isin(np.arange(len(specs)), session.playing) & (frame >= window) & (frame < meeting)
         )
         if before is not None and acting.any():
-            target = batch.target_pose[:, :PALM_DOF]
+            target = batch.target_pose_h[:, :PALM_DOF]
             from_palm = target - observation.state[:, :PALM_DOF]
             place = (from_palm if camera == EGO_VIEW else target).astype(np.float32)
             yield Snapshots(

@@ -187,8 +187,8 @@ def _nearest(episode: Episode) -> tuple[int, float]:
     [m] there.
     """
     start = episode.meta.window_frames
-    frame = episode.first_localized or start + int(np.argmin(episode.palm_distance[start:]))
-    return frame, float(episode.palm_distance[frame])
+    frame = episode.first_localized or start + int(np.argmin(episode.palm_distance_m[start:]))
+    return frame, float(episode.palm_distance_m[frame])
 
 
 def _bordered(episode: Episode) -> np.ndarray:

@@ -55,7 +55,7 @@ class Track:
         reference_joints: (15,) joint angles of the reference grasp [rad].
         localized: (T,) bool.
         contacts: of shape (T,), what touched the target; zero if the rule uses no contact sensors.
-        palm_distance: (T,) palm centre to target centre [m].
+        palm_distance_m: (T,) palm centre to target centre [m].
         palm_pos_h: (T, 3) palm centre [m], home frame.
     """
 
@@ -64,12 +64,12 @@ class Track:
     reference_joints: np.ndarray
     localized: np.ndarray
     contacts: TargetContacts
-    palm_distance: np.ndarray
+    palm_distance_m: np.ndarray
     palm_pos_h: np.ndarray
 
     def first(self, frames: int) -> Track:
         """Return the first ``frames`` of the T frames."""
-        by_frame = ("joints", "localized", "contacts", "palm_distance", "palm_pos_h")
+        by_frame = ("joints", "localized", "contacts", "palm_distance_m", "palm_pos_h")
         return replace(self, **{name: getattr(self, name)[:frames] for name in by_frame})
 
 
@@ -117,7 +117,7 @@ class CaptureRule(ABC):
 
     @abstractmethod
     def events(
-        self, acting: np.ndarray, palm_distance: np.ndarray, contacts: TargetContacts | None
+        self, acting: np.ndarray, palm_distance_m: np.ndarray, contacts: TargetContacts | None
     ) -> np.ndarray:
         """Return (n,) the physics step within the control step after which its event is due, or
         ``NO_EVENT``.
@@ -126,7 +126,7 @@ class CaptureRule(ABC):
 
         Args:
             acting: (n,) bool, the control phase has begun.
-            palm_distance: (n, 25) palm centre to target centre [m].
+            palm_distance_m: (n, 25) palm centre to target centre [m].
             contacts: of shape (n, 25), what touches the target; None if the rule uses no contact
                 sensors.
         """
@@ -172,11 +172,11 @@ class Attach(CaptureRule):
         return ENVIRONMENT if isinstance(motion, PhysicalMotion) else 0
 
     def events(
-        self, acting: np.ndarray, palm_distance: np.ndarray, contacts: TargetContacts | None
+        self, acting: np.ndarray, palm_distance_m: np.ndarray, contacts: TargetContacts | None
     ) -> np.ndarray:
         """Return the closest physics step where it is within the localisation radius."""
-        closest = palm_distance.argmin(axis=1)
-        inside = palm_distance.min(axis=1) < self.localization_radius_m
+        closest = palm_distance_m.argmin(axis=1)
+        inside = palm_distance_m.min(axis=1) < self.localization_radius_m
         return np.where(inside & acting, closest, NO_EVENT)
 
     def captured(self, track: Track) -> np.ndarray:
@@ -235,7 +235,7 @@ class Contact(CaptureRule):
         return HAND_BIT | (ENVIRONMENT if isinstance(motion, PhysicalMotion) else 0)
 
     def events(
-        self, acting: np.ndarray, palm_distance: np.ndarray, contacts: TargetContacts | None
+        self, acting: np.ndarray, palm_distance_m: np.ndarray, contacts: TargetContacts | None
     ) -> np.ndarray:
         """Return the first physics step in which the hand touches the target."""
         assert contacts is not None
@@ -281,4 +281,4 @@ def gripped(track: Track) -> np.ndarray:
     fingers, palm = track.contacts.finger_force_n > 0, track.contacts.palm_force_n > 0
     opposed = (fingers[:, THUMB] | palm) & np.delete(fingers, THUMB, axis=1).any(axis=1)
     opposed |= fingers[:, THUMB] & palm
-    return opposed & ~(track.contacts.others > 0) & (track.palm_distance < HELD_RADIUS_M)
+    return opposed & ~(track.contacts.others > 0) & (track.palm_distance_m < HELD_RADIUS_M)

@@ -326,10 +326,10 @@ def play(count: int) -> Reference:
     )
     return {
         "machine": np.array(machine),
-        "motions": np.array([digest([e.state, e.action, e.target_pose]) for e in episodes]),
+        "motions": np.array([digest([e.state, e.action, e.target_pose_h]) for e in episodes]),
         "images": np.array([digest([e.images[EGO_VIEW]]) for e in episodes]),
         "poses": np.concatenate(
-            [np.concatenate([e.state, e.target_pose], axis=1)[::STRIDE] for e in episodes]
+            [np.concatenate([e.state, e.target_pose_h], axis=1)[::STRIDE] for e in episodes]
         ),
         "pixels": np.stack([e.images[EGO_VIEW][e.meta.window_frames] for e in episodes]),
     }

@@ -50,7 +50,7 @@ def episodes_of(root: Path) -> Iterator[tuple[pd.Series, pd.DataFrame]]:
         yield episodes.set_index(keys[0], drop=False).loc[index], rows
 
 
-def fingertip_distance(episode: pd.Series, frames: pd.DataFrame) -> np.ndarray:
+def fingertip_distance_m(episode: pd.Series, frames: pd.DataFrame) -> np.ndarray:
     """Return (T,) the least distance of a fingertip to the object's surface [m], 0 inside, from
     poses and solids.
     """
@@ -71,9 +71,9 @@ def _table(folder: Path) -> pd.DataFrame:
 
 def _metrics(episode: pd.Series, frames: pd.DataFrame) -> dict[str, float]:
     start = int(episode["window_frames"])
-    palm_distance = frames["palm_distance"].to_numpy(float)  # least of the step to the frame
+    palm_distance_m = frames["palm_distance"].to_numpy(float)  # least of the step to the frame
     # the hand moves from frame `start` on
-    inside = np.flatnonzero(palm_distance[start + 1 :] < RADIUS_M[episode["capture"]])
+    inside = np.flatnonzero(palm_distance_m[start + 1 :] < RADIUS_M[episode["capture"]])
     first = start + 1 + int(inside[0]) if inside.size else None
     state = np.stack(frames["observation.state"]).astype(float)
     path = state[start : None if first is None else first + 1, :3]
@@ -81,7 +81,7 @@ def _metrics(episode: pd.Series, frames: pd.DataFrame) -> dict[str, float]:
     return {
         "S_loc": float(first is not None),
         "S_gra": float(_grasps(episode, state[first, 3:])) if judged else np.nan,
-        "E_loc": palm_distance[start:].min() / UNIT_M,
+        "E_loc": palm_distance_m[start:].min() / UNIT_M,
         "E_gra": frames["fingertip_distance"].to_numpy(float)[start:].min() / UNIT_M,
         "Q_smooth": smoothness(path),
         "Q_line": linearity(path),

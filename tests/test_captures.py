@@ -45,7 +45,9 @@ def passing(spec: EpisodeSpec, speed_m_s: float, miss_m: float, at_s: float) -> 
 
 def relative_pose(batch: WorldBatch) -> tuple[np.ndarray, np.ndarray]:
     """Position (3,) and rotation (3, 3) of the target in the palm's frame, which never turns."""
-    return batch.target_pose[0, :3] - batch.state[0, :3], quat_to_matrix(batch.target_pose[0, 3:])
+    return batch.target_pose_h[0, :3] - batch.state[0, :3], quat_to_matrix(
+        batch.target_pose_h[0, 3:]
+    )
 
 
 def test_a_target_at_4_m_s_is_caught_at_its_closest_step(specs: list[EpisodeSpec]):
@@ -63,11 +65,11 @@ def test_a_target_at_4_m_s_is_caught_at_its_closest_step(specs: list[EpisodeSpec
     for _ in range(control + 3):
         batch.step(batch.executed)
     assert batch.localized.all()
-    assert (batch.palm_distance >= cases[:, 0] - 1e-6).all()
+    assert (batch.palm_distance_m >= cases[:, 0] - 1e-6).all()
     # 4 m/s is 8 mm a step, so the closest step is at most 4 mm from the closest point
-    assert (batch.palm_distance <= np.hypot(cases[:, 0], 0.0041)).all()
-    held = np.linalg.norm(batch.target_pose[:, :3] - batch.state[:, :3], axis=1)
-    np.testing.assert_allclose(held, batch.palm_distance, rtol=0, atol=1e-4)
+    assert (batch.palm_distance_m <= np.hypot(cases[:, 0], 0.0041)).all()
+    held = np.linalg.norm(batch.target_pose_h[:, :3] - batch.state[:, :3], axis=1)
+    np.testing.assert_allclose(held, batch.palm_distance_m, rtol=0, atol=1e-4)
 
 
 @pytest.mark.parametrize(("miss_m", "frame"), [(LOCALIZATION_RADIUS_M + 0.001, 2), (0.0, -5)])
@@ -111,12 +113,12 @@ def test_a_welded_target_leaves_its_string_and_its_table(specs: list[EpisodeSpec
     for _ in range(max(spec.window_frames for spec in chosen) + 5):
         batch.step(batch.executed)
     assert batch.localized.all()
-    before = batch.target_pose[:, 2].copy()
+    before = batch.target_pose_h[:, 2].copy()
     for _ in range(10):
         batch.step(batch.executed + np.eye(18)[2] * 0.05)
-    np.testing.assert_allclose(batch.target_pose[:, 2] - before, 0.5, atol=0.005)
+    np.testing.assert_allclose(batch.target_pose_h[:, 2] - before, 0.5, atol=0.005)
     assert (
-        np.linalg.norm(batch.target_pose[:, :3] - batch.state[:, :3], axis=1).max()
+        np.linalg.norm(batch.target_pose_h[:, :3] - batch.state[:, :3], axis=1).max()
         < LOCALIZATION_RADIUS_M
     )
 
@@ -186,9 +188,9 @@ def test_weld_grasp_and_clock_follow_the_wider_radius(specs: list[EpisodeSpec]):
     assert caught["R_time"] == pytest.approx(
         1 - (first - lenient.meta.window_frames) / lenient.meta.length_frames
     )
-    assert lenient.palm_distance[first] < LENIENT_RADIUS_M
+    assert lenient.palm_distance_m[first] < LENIENT_RADIUS_M
     assert (lenient.stage, lenient.success, strict.stage) == ("captured", True, "missed")
-    offset = lenient.target_pose[first:, :3] - lenient.palm_pos_h[first:]
+    offset = lenient.target_pose_h[first:, :3] - lenient.palm_pos_h[first:]
     assert np.linalg.norm(offset - offset[0], axis=1).max() < 1e-3, "it is welded"
     assert lenient.meta.capture == "attach_lenient"
 
@@ -221,12 +223,12 @@ def energy_j(batch: WorldBatch, specs: list[EpisodeSpec]) -> np.ndarray:
     mass = np.array([spec.target.mass_kg for spec in specs])
     inertia = np.array([max(spec.target.inertia) for spec in specs])  # an upper bound is enough
     linear, angular = (
-        np.sum(part**2, axis=1) for part in np.split(batch.target_velocity, 2, axis=1)
+        np.sum(part**2, axis=1) for part in np.split(batch.target_velocity_w, 2, axis=1)
     )
     return (
         0.5 * mass * linear
         + 0.5 * inertia * angular
-        + mass * 9.81 * (batch.target_pose[:, 2] + HOME_W[2])
+        + mass * 9.81 * (batch.target_pose_h[:, 2] + HOME_W[2])
     )
 
 
@@ -235,10 +237,10 @@ def test_a_target_at_4_m_s_does_not_pass_through_the_palm(constant: EpisodeSpec)
     batch = world([flying(constant, 4.0, kind) for kind in kinds], capture="contact")
     for _ in range(14):
         batch.step(batch.executed)
-        assert (batch.target_pose[:, 0] - batch.state[:, 0] > PALM_BACK_M).all(), (
+        assert (batch.target_pose_h[:, 0] - batch.state[:, 0] > PALM_BACK_M).all(), (
             "it would be behind the palm"
         )
-    assert (batch.target_velocity[:, 0] > -1.0).all(), "the palm has stopped it"
+    assert (batch.target_velocity_w[:, 0] > -1.0).all(), "the palm has stopped it"
 
 
 def test_a_still_hand_gives_no_energy(constant: EpisodeSpec):
@@ -263,15 +265,15 @@ def test_the_first_touch_lets_go_without_a_jump(constant: EpisodeSpec):
     while not batch.contacts.by_hand[0]:
         frame = batch.frame[0]
         np.testing.assert_allclose(
-            batch.target_pose[0, :3], spec.target_path_w[frame] - HOME_W, atol=1e-9
+            batch.target_pose_h[0, :3], spec.target_path_w[frame] - HOME_W, atol=1e-9
         )
-        before = batch.target_pose[0, :3].copy()
+        before = batch.target_pose_h[0, :3].copy()
         batch.step(batch.executed)
-    assert np.linalg.norm(batch.target_pose[0, :3] - before) < 0.5 * CONTROL_DT + 0.005
+    assert np.linalg.norm(batch.target_pose_h[0, :3] - before) < 0.5 * CONTROL_DT + 0.005
     assert batch.contacts.palm_force_n[0] > 0
     for _ in range(10):
         batch.step(batch.executed)
-    assert batch.target_pose[0, 2] < -0.5, "nothing carries it any more"
+    assert batch.target_pose_h[0, 2] < -0.5, "nothing carries it any more"
 
 
 def test_the_touch_of_the_first_frame_is_the_mean_over_it(constant: EpisodeSpec):
@@ -281,10 +283,10 @@ def test_the_touch_of_the_first_frame_is_the_mean_over_it(constant: EpisodeSpec)
     specs = [flying(constant, speed_m_s) for speed_m_s in (1.0, 1.7, 2.3, 3.1)]
     batch, touched = world(specs, capture="contact"), np.zeros(4, bool)
     while not touched.all():
-        before = batch.target_velocity[:, 0].copy()
+        before = batch.target_velocity_w[:, 0].copy()
         batch.step(batch.executed)
         for i in np.flatnonzero(batch.contacts.by_hand & ~touched):
-            given = specs[i].target.mass_kg * abs(batch.target_velocity[i, 0] - before[i])
+            given = specs[i].target.mass_kg * abs(batch.target_velocity_w[i, 0] - before[i])
             assert batch.contacts.palm_force_n[i] * CONTROL_DT == pytest.approx(given, rel=0.1)
         touched |= batch.contacts.by_hand
 
@@ -346,7 +348,7 @@ def track(frames: int = 20, speed_m_s: float = 0.2, **touching: int) -> Track:
         (track(thumb=20, index=20, others=20), "touched"),
         (track(thumb=20, index=20, others=11), "slipped"),
         (track(thumb=20, index=20, speed_m_s=0.05), "slipped"),
-        (replace(track(thumb=20, index=20), palm_distance=np.full(20, 0.051)), "touched"),
+        (replace(track(thumb=20, index=20), palm_distance_m=np.full(20, 0.051)), "touched"),
     ],
 )
 def test_stages(played: Track, stage: str):

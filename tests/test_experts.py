@@ -58,7 +58,7 @@ def test_evaluated_episodes_are_consistent_records(
         assert (is_acting(episode.phase) == (np.arange(frames) >= spec.window_frames)).all()
         assert not episode.localized[: spec.window_frames].any()
         assert (np.diff(episode.localized.astype(int)) >= 0).all()
-        for name in ("state", "fingertips", "action", "target_pose", "target_velocity"):
+        for name in ("state", "fingertips", "action", "target_pose_h", "target_velocity_w"):
             assert getattr(episode, name).dtype == np.float32
             assert np.isfinite(getattr(episode, name)).all(), name
 
@@ -140,7 +140,7 @@ def test_the_label_is_the_meeting_and_in_the_window_that_of_the_start_of_control
     recipe = Recording.of(image_size=0, split=specs[0].split, perturbed_share=0.0)
     for episode in record(recipe, [spec.seed for spec in specs[:22]]):
         assert not trajectory_problems(episode)
-        window, path = episode.meta.window_frames, episode.target_path
+        window, path = episode.meta.window_frames, episode.target_path_h
         free = int(np.flatnonzero(~episode.localized)[-1]) + 1
         apart = np.linalg.norm(path - episode.action[:free, None, :3], axis=-1)
         assert apart.min(axis=1).max() < 1e-6

@@ -56,8 +56,8 @@ class WorldState:
             target's path.
         frame: (N,) int, frame index within the episode.
         attempt: (N,) int, 1 for the first try at an episode.
-        target_pose: (N, 7) position [m], home frame, and quaternion wxyz.
-        target_velocity: (N, 6) linear [m/s] and angular [rad/s], along the world's axes.
+        target_pose_h: (N, 7) position [m], home frame, and quaternion wxyz.
+        target_velocity_w: (N, 6) linear [m/s] and angular [rad/s], along the world's axes.
         localized: (N,) bool, the target has been localised in the control phase.
         control: the limits of the hand and the latency of its commands.
         localization_radius_m: palm centre to target centre, below which the target is localised
@@ -70,8 +70,8 @@ class WorldState:
     specs: tuple[EpisodeSpec | None, ...]
     frame: np.ndarray
     attempt: np.ndarray
-    target_pose: np.ndarray
-    target_velocity: np.ndarray
+    target_pose_h: np.ndarray
+    target_velocity_w: np.ndarray
     localized: np.ndarray
     control: ControlClass
     localization_radius_m: float
@@ -117,8 +117,8 @@ class WorldView:
             state=world.state_when_due[i] + _origin(spec),
             frame=frame,
             due_frame=max(frame + world.control.latency_frames, spec.window_frames),
-            target_pos_w=world.target_pose[i, :3] + spec.home_pos_w,
-            target_velocity_w=world.target_velocity[i, :3],
+            target_pos_w=world.target_pose_h[i, :3] + spec.home_pos_w,
+            target_velocity_w=world.target_velocity_w[i, :3],
             localized=bool(world.localized[i]),
             control=world.control,
             localization_radius_m=world.localization_radius_m,

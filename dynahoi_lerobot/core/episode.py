@@ -81,9 +81,9 @@ class Episode:
         action: in recordings for learning the teacher's goal, which may lie beyond the reach of one
             frame, also in the window, where commands are void; elsewhere ``given_action``. (T, 4)
             where the control mode is ``grasp``.
-        target_path: (F, 3), F = window + L + 1, as long as an evaluation may last, so it extends
+        target_path_h: (F, 3), F = window + L + 1, as long as an evaluation may last, so it extends
             beyond the end of a recorded catch.
-        palm_distance: the least within the control step that ends at the frame, so that a fast
+        palm_distance_m: the least within the control step that ends at the frame, so that a fast
             target cannot pass between two frames unseen.
         localized: under ``attach``, the target is also welded to the hand.
         object_primitives: (S, 11), one row per solid, see ``objects.primitives.as_table``.
@@ -102,28 +102,28 @@ class Episode:
     action: np.ndarray = field(repr=False)
     given_action: np.ndarray = field(repr=False)
     executed_action: np.ndarray = field(repr=False)
-    target_pose: np.ndarray = field(repr=False)
-    target_velocity: np.ndarray = field(repr=False)
-    target_path: np.ndarray = field(repr=False)
+    target_pose_h: np.ndarray = field(repr=False)
+    target_velocity_w: np.ndarray = field(repr=False)
+    target_path_h: np.ndarray = field(repr=False)
     target_contacts: np.ndarray = field(repr=False)
-    palm_distance: np.ndarray = field(repr=False)
-    fingertip_distance: np.ndarray = field(repr=False)
+    palm_distance_m: np.ndarray = field(repr=False)
+    fingertip_distance_m: np.ndarray = field(repr=False)
     localized: np.ndarray = field(repr=False)
     captured: np.ndarray = field(repr=False)
-    intercept_position: np.ndarray = field(repr=False)
-    intercept_time: float
-    home_position: np.ndarray = field(repr=False)
+    intercept_pos_h: np.ndarray = field(repr=False)
+    intercept_s: float
+    home_pos_w: np.ndarray = field(repr=False)
     open_joints: np.ndarray = field(repr=False)
     reference_joints: np.ndarray = field(repr=False)
     succeeded: np.ndarray = field(repr=False)
     object_primitives: np.ndarray = field(repr=False)
     object_size: np.ndarray = field(repr=False)
-    object_mass: float
+    object_mass_kg: float
     object_inertia: np.ndarray = field(repr=False)
     object_friction: np.ndarray = field(repr=False)
     object_restitution: float
-    ego_camera: np.ndarray = field(repr=False)
-    side_camera: np.ndarray = field(repr=False)
+    ego_camera_pose_palm: np.ndarray = field(repr=False)
+    side_camera_pose_h: np.ndarray = field(repr=False)
     ego_intrinsics: np.ndarray = field(repr=False)
     side_intrinsics: np.ndarray = field(repr=False)
     hand_limits: np.ndarray = field(repr=False)
@@ -154,10 +154,10 @@ class Episode:
 
     @property
     def environment_state(self) -> np.ndarray:
-        """(T, 13) float32, ``target_pose`` and ``target_velocity``, which a dataset on request
+        """(T, 13) float32, ``target_pose_h`` and ``target_velocity_w``, which a dataset on request
         shows to policies.
         """
-        return np.concatenate([self.target_pose, self.target_velocity], axis=1)
+        return np.concatenate([self.target_pose_h, self.target_velocity_w], axis=1)
 
     @property
     def reward(self) -> np.ndarray:
@@ -165,7 +165,7 @@ class Episode:
         frame on which the episode is a success, and in the control phase the change of
         `potential`; 0 for the last action, whose outcome is not recorded.
         """
-        distance_m = np.linalg.norm(self.target_pose[:, :3] - self.palm_pos_h, axis=1)
+        distance_m = np.linalg.norm(self.target_pose_h[:, :3] - self.palm_pos_h, axis=1)
         closed = closure(self.joints, self.open_joints, self.reference_joints)
         change = np.diff(potential(distance_m, closed), append=0.0)
         change[: self.meta.window_frames] = 0.0

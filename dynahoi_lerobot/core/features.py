@@ -258,7 +258,7 @@ _TABLE = (
         privileged=True,
     ),
     Feature(
-        "target_pose",
+        "target_pose_h",
         "target.pose",
         (7,),
         POSE_NAMES,
@@ -267,7 +267,7 @@ _TABLE = (
         privileged=True,
     ),
     Feature(
-        "target_velocity",
+        "target_velocity_w",
         "target.velocity",
         (6,),
         TWIST_NAMES,
@@ -276,7 +276,7 @@ _TABLE = (
         privileged=True,
     ),
     Feature(
-        "target_path",
+        "target_path_h",
         "target_path",
         (3,),
         POSITION_NAMES,
@@ -296,7 +296,7 @@ _TABLE = (
         privileged=True,
     ),
     Feature(
-        "intercept_position",
+        "intercept_pos_h",
         "intercept.position",
         (3,),
         POSITION_NAMES,
@@ -306,7 +306,7 @@ _TABLE = (
         privileged=True,
     ),
     Feature(
-        "intercept_time",
+        "intercept_s",
         "intercept.time",
         (),
         ("time",),
@@ -366,7 +366,7 @@ _TABLE = (
         dtype="bool",
     ),
     Feature(
-        "palm_distance",
+        "palm_distance_m",
         "palm_distance",
         (),
         ("distance",),
@@ -375,7 +375,7 @@ _TABLE = (
         privileged=True,
     ),
     Feature(
-        "fingertip_distance",
+        "fingertip_distance_m",
         "fingertip_distance",
         (),
         ("distance",),
@@ -384,7 +384,7 @@ _TABLE = (
         privileged=True,
     ),
     Feature(
-        "home_position",
+        "home_pos_w",
         "home_position",
         (3,),
         POSITION_NAMES,
@@ -436,7 +436,7 @@ _TABLE = (
         privileged=True,
     ),
     Feature(
-        "object_mass",
+        "object_mass_kg",
         "object_mass",
         (),
         ("mass",),
@@ -477,7 +477,7 @@ _TABLE = (
         privileged=True,
     ),
     Feature(
-        "ego_camera",
+        "ego_camera_pose_palm",
         "ego_camera",
         (7,),
         POSE_NAMES,
@@ -487,7 +487,7 @@ _TABLE = (
         privileged=True,
     ),
     Feature(
-        "side_camera",
+        "side_camera_pose_h",
         "side_camera",
         (7,),
         POSE_NAMES,

@@ -115,9 +115,9 @@ def teleports(episode: Episode) -> str | None:
     """Find steps of the target that neither its own velocity nor a palm that carries it
     explains.
     """
-    steps = np.linalg.norm(np.diff(episode.target_pose[:, :3], axis=0), axis=1)  # (T - 1,)
+    steps = np.linalg.norm(np.diff(episode.target_pose_h[:, :3], axis=0), axis=1)  # (T - 1,)
     carried = np.linalg.norm(np.diff(episode.palm_pos_h, axis=0), axis=1)
-    speed = np.linalg.norm(episode.target_velocity[:, :3], axis=1)  # (T,)
+    speed = np.linalg.norm(episode.target_velocity_w[:, :3], axis=1)  # (T,)
     allowed = np.maximum(np.maximum(speed[1:], speed[:-1]) * CONTROL_DT, carried) + TARGET_SLACK_M
     if not (steps > allowed).any():
         return None
@@ -175,4 +175,4 @@ def phase_order(episode: Episode) -> str | None:
 
 def _palm_range(episode: Episode) -> np.ndarray:
     """(2, 3) least and greatest palm position [m], home frame: the range of the slides."""
-    return np.array(GANTRY_RANGE_M).T - episode.home_position.astype(float)
+    return np.array(GANTRY_RANGE_M).T - episode.home_pos_w.astype(float)

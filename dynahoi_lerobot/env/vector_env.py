@@ -468,7 +468,7 @@ class DynahoiVectorEnv(VectorEnv):
         still = np.zeros(FINGER_DOF)
         opened = np.stack([still if spec is None else spec.open_joints for spec in specs])
         wanted = np.stack([still if spec is None else spec.reference_joints for spec in specs])
-        target_pos_h = self._batch.target_pose[:, :PALM_DOF]
+        target_pos_h = self._batch.target_pose_h[:, :PALM_DOF]
         distance_m = np.linalg.norm(target_pos_h - state[:, :PALM_DOF], axis=1)
         return potential(distance_m, closure(state[:, PALM_DOF:], opened, wanted))
 

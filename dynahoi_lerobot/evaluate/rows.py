@@ -47,7 +47,7 @@ def travel_u(episode: Episode) -> float:
     point.
     """
     start = episode.palm_pos_h[min(episode.meta.window_frames, len(episode) - 1)]
-    return float(np.linalg.norm(episode.intercept_position.astype(np.float64) - start)) / UNIT_M
+    return float(np.linalg.norm(episode.intercept_pos_h.astype(np.float64) - start)) / UNIT_M
 
 
 def _duration(episode: Episode) -> str:

@@ -162,7 +162,7 @@ def e_gra(episode: Episode) -> float:
 
     In u (0.1 m), lower is better. Paper: Section "Evaluation metrics".
     """
-    return float(episode.fingertip_distance[episode.control].min()) / conventions.UNIT_M
+    return float(episode.fingertip_distance_m[episode.control].min()) / conventions.UNIT_M
 
 
 FINGERS_AT_LEAST = {"loose": 3, "medium": 4, "strict": 5}

@@ -44,7 +44,7 @@ def s_loc_planar(episode: Episode) -> bool:
     from dynahoi_lerobot.captures import CAPTURES  # which brings in MuJoCo
 
     frames = until_localized(episode)
-    offset = episode.palm_pos_h[frames, :2] - episode.target_pose[frames, :2]  # (T, 2)
+    offset = episode.palm_pos_h[frames, :2] - episode.target_pose_h[frames, :2]  # (T, 2)
     radius_m = CAPTURES[episode.meta.capture].localization_radius_m
     return bool((np.linalg.norm(offset, axis=1) < radius_m).any())
 
@@ -76,7 +76,7 @@ def e_loc(episode: Episode) -> float:
 
     In u (0.1 m), lower is better. Paper: Section "Evaluation metrics".
     """
-    return float(episode.palm_distance[episode.control].min()) / UNIT_M
+    return float(episode.palm_distance_m[episode.control].min()) / UNIT_M
 
 
 @metric(
@@ -100,7 +100,7 @@ def relative_speed(episode: Episode) -> float | None:
     if first is None:
         return None
     palm_velocity = (episode.palm_pos_h[first] - episode.palm_pos_h[first - 1]) / CONTROL_DT
-    return float(np.linalg.norm(episode.target_velocity[first - 1, :3] - palm_velocity))
+    return float(np.linalg.norm(episode.target_velocity_w[first - 1, :3] - palm_velocity))
 
 
 @metric("R_time", unit="score", direction="higher", aggregation="mean")

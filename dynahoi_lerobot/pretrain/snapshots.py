@@ -76,7 +76,7 @@ class Snapshots:
 
 
 def calibration(recipe: PretrainRecipe) -> tuple[np.ndarray, np.ndarray]:
-    """Return the camera's pose (7,), as ``ego_camera``, and intrinsics (4,) [px], as
+    """Return the camera's pose (7,), as ``ego_camera_pose_palm``, and intrinsics (4,) [px], as
     ``ego_intrinsics``.
     """
     rules = recipe.episodes.rules

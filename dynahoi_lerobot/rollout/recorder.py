@@ -60,7 +60,7 @@ collection"."""
 CONTACTS = ("finger_force_n", "palm_force_n", "others")
 """Fields of ``TargetContacts``, which the capture rule judges; an episode keeps the fingers' forces
 as ``touch``."""
-JUDGED = ("state", "localized", "palm_distance", *CONTACTS)
+JUDGED = ("state", "localized", "palm_distance_m", *CONTACTS)
 """Columns from which the capture rule reads its verdict."""
 
 
@@ -82,11 +82,11 @@ def measure_frame(
     pressed = contacts.finger_force_n[ids] > 0
     return columns | {
         "fingertips": batch.fingertips(ids),
-        "target_pose": batch.target_pose[ids],
-        "target_velocity": batch.target_velocity[ids],
+        "target_pose_h": batch.target_pose_h[ids],
+        "target_velocity_w": batch.target_velocity_w[ids],
         "target_contacts": pressed if batch.rule.uses_contact_sensors else tips_m <= TOUCH_M,
-        "palm_distance": batch.palm_distance[ids],
-        "fingertip_distance": np.maximum(tips_m.min(axis=1), 0.0),
+        "palm_distance_m": batch.palm_distance_m[ids],
+        "fingertip_distance_m": np.maximum(tips_m.min(axis=1), 0.0),
         "localized": batch.localized[ids],
         "visual_state": batch.visual_state[ids],
         **{name: getattr(contacts, name)[ids] for name in CONTACTS},
@@ -184,7 +184,7 @@ class WorldRecorder:
             reference_joints=spec.reference_joints.astype(np.float32),
             localized=columns["localized"][control],
             contacts=TargetContacts(**{name: columns[name][control] for name in CONTACTS}),
-            palm_distance=columns["palm_distance"][control],
+            palm_distance_m=columns["palm_distance_m"][control],
             palm_pos_h=columns["state"][control, :PALM_DOF],
         )
 
@@ -236,14 +236,14 @@ def episode_constants(
     ego = Pinhole.of(batch.scene.model, EGO_VIEW)
     side = Pinhole.of(batch.scene.model, SIDE_CAMERA)
     return object_constants(spec.motion, spec.target) | {
-        "home_position": spec.home_pos_w,
-        "target_path": spec.target_path_w - spec.home_pos_w,
-        "intercept_position": spec.intercept_pos_h,
-        "intercept_time": spec.intercept_frame * CONTROL_DT,
+        "home_pos_w": spec.home_pos_w,
+        "target_path_h": spec.target_path_w - spec.home_pos_w,
+        "intercept_pos_h": spec.intercept_pos_h,
+        "intercept_s": spec.intercept_frame * CONTROL_DT,
         "open_joints": spec.open_joints,
         "reference_joints": spec.reference_joints,
-        "ego_camera": ego.pose,
-        "side_camera": side.pose,
+        "ego_camera_pose_palm": ego.pose,
+        "side_camera_pose_h": side.pose,
         "ego_intrinsics": ego.intrinsics(batch.cameras.image_size),
         "side_intrinsics": side.intrinsics(batch.cameras.image_size),
         "hand_limits": [
@@ -263,7 +263,7 @@ def object_constants(motion: Motion, target: TargetObject) -> dict[str, Any]:
     return {
         "object_primitives": as_table(target.primitives),
         "object_size": extent(target.primitives),
-        "object_mass": target.mass_kg,
+        "object_mass_kg": target.mass_kg,
         "object_inertia": target.inertia,
         # of two that touch, the greater counts
         "object_friction": [

@@ -176,7 +176,7 @@ def _repeats(episode: Episode, index: int, seen: dict[bytes, int]) -> Iterator[s
     """
     parts = {
         "facts": repr(episode.meta).encode(),
-        "motion": episode.state.tobytes() + episode.target_pose.tobytes(),
+        "motion": episode.state.tobytes() + episode.target_pose_h.tobytes(),
         "images": b"".join(
             np.ascontiguousarray(images).tobytes() for images in episode.images.values()
         ),

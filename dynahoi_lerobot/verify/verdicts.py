@@ -25,7 +25,7 @@ from dynahoi_lerobot.scene.signed_distance import signed_distance
 TIP_TOLERANCE = 2e-5
 """Of fingertips and of distances that are computed again from numbers in float32 [m, rad]."""
 START_TOLERANCE_M = 1e-5
-"""At the start ``palm_distance`` is the distance itself, up to float32."""
+"""At the start ``palm_distance_m`` is the distance itself, up to float32."""
 ABOVE_M = 0.005
 """A least distance exceeds the distance at the end of its step by at most this: where contact
 releases the target, the step is simulated twice (0.002 m seen)."""
@@ -62,7 +62,7 @@ def verdict_problems(episode: Episode, hand: str | None) -> Iterator[str]:
         )
     commanded = np.concatenate([[False], acting[:-1]])  # (T,) in the step that ends at the frame
     localized = np.maximum.accumulate(
-        (episode.palm_distance < rule.localization_radius_m) & commanded
+        (episode.palm_distance_m < rule.localization_radius_m) & commanded
     )
     before = np.zeros(episode.meta.window_frames, bool)
     flags = {
@@ -120,8 +120,8 @@ def _palm(episode: Episode) -> str | None:
     """Find a least distance of a step that is larger than at its end, or smaller than on the
     straight line.
     """
-    offset = episode.target_pose[:, :3].astype(float) - episode.palm_pos_h
-    distance, found = np.linalg.norm(offset, axis=1), episode.palm_distance
+    offset = episode.target_pose_h[:, :3].astype(float) - episode.palm_pos_h
+    distance, found = np.linalg.norm(offset, axis=1), episode.palm_distance_m
     straight = segment_distance(np.zeros((1, 3)), offset)[0]  # (T - 1,)
     low = np.concatenate([distance[:1] - START_TOLERANCE_M, straight - _bend(episode) - BELOW_M])
     high = distance + np.where(np.arange(len(found)) == 0, START_TOLERANCE_M, ABOVE_M)
@@ -142,7 +142,7 @@ def _bend(episode: Episode) -> np.ndarray:
     which is not, is at most twice the change of its mean velocity from a frame to the next or from
     the one before.
     """
-    target = np.linalg.norm(np.diff(episode.target_velocity[:, :3], axis=0), axis=1)
+    target = np.linalg.norm(np.diff(episode.target_velocity_w[:, :3], axis=0), axis=1)
     steps = np.diff(episode.palm_pos_h, axis=0)  # (T - 1, 3)
     turns = np.linalg.norm(
         np.diff(steps, axis=0, prepend=steps[:1], append=steps[-1:]), axis=1
@@ -155,7 +155,7 @@ def tip_distances(episode: Episode) -> np.ndarray:
     inside.
     """
     pads = episode.fingertips.reshape(-1, len(FINGERS), 6)[..., :3].astype(float)
-    pose = episode.target_pose.astype(float)
+    pose = episode.target_pose_h.astype(float)
     # a row vector times a rotation is turned back: from the world's frame into the object's, then
     # into the solid's
     local = (pads - pose[:, None, :3]) @ quat_to_matrix(
@@ -173,10 +173,10 @@ def tip_distances(episode: Episode) -> np.ndarray:
 def _tips(episode: Episode, tips: np.ndarray) -> str | None:
     """Find a fingertip distance (T,) that is not the least of the five (T, 5) ones, 0 inside."""
     wanted = np.maximum(tips.min(axis=1), 0.0)
-    apart = np.abs(episode.fingertip_distance - wanted)
+    apart = np.abs(episode.fingertip_distance_m - wanted)
     if apart.max() <= TIP_TOLERANCE:
         return None
-    frame, found = int(apart.argmax()), episode.fingertip_distance
+    frame, found = int(apart.argmax()), episode.fingertip_distance_m
     return (
         f"fingertip_distance at frame {frame} is {found[frame]:.4f} m; object and poses give "
         f"{wanted[frame]:.4f} m"
@@ -211,6 +211,6 @@ def _track(episode: Episode) -> Track:
         reference_joints=episode.reference_joints,
         localized=episode.localized[control],
         contacts=TargetContacts(touch[control], captured.astype(float), (~captured).astype(float)),
-        palm_distance=episode.palm_distance[control],
+        palm_distance_m=episode.palm_distance_m[control],
         palm_pos_h=episode.palm_pos_h[control],
     )

@@ -43,7 +43,7 @@ class WorldBatch:
         specs: the episode of each world, None where none has begun.
         frame: (N,) int, current frame of each world's episode.
         attempt: (N,) int, from 1.
-        localized, palm_distance, contacts: what `Physics` keeps of the last control step.
+        localized, palm_distance_m, contacts: what `Physics` keeps of the last control step.
     """
 
     def __init__(self, rules: Rules, size: int, threads: int = 0) -> None:
@@ -70,7 +70,10 @@ class WorldBatch:
         self.commands = Commands(size, self.scene, self.rule, self.control, rules.control_mode)
         self.given, self.executed = self.commands.given, self.commands.executed
         self._physics = Physics(self.scene, self._batch, self._fields, self.rule)
-        self.localized, self.palm_distance = self._physics.localized, self._physics.palm_distance
+        self.localized, self.palm_distance_m = (
+            self._physics.localized,
+            self._physics.palm_distance_m,
+        )
         self.contacts = self._physics.contacts
         self._fingertips = Fingertips(self.scene, self._batch, self._fields)
         self.cameras = Cameras(self.scene, self._batch, rules, self.specs, self.frame)
@@ -96,20 +99,20 @@ class WorldBatch:
         for i, spec in zip(chosen, specs, strict=True):
             self._write(int(i), spec)
         self._fields.finish(chosen)
-        distance = np.linalg.norm(self.target_pose[:, :3] - self.state[:, :PALM_DOF], axis=1)
+        distance = np.linalg.norm(self.target_pose_h[:, :3] - self.state[:, :PALM_DOF], axis=1)
         self._physics.reset(chosen, distance[chosen])
 
-    def place(self, state: np.ndarray, target_pose: np.ndarray) -> None:
+    def place(self, state: np.ndarray, target_pose_h: np.ndarray) -> None:
         """Pose hands and targets of all worlds without physics, to look at them; what was going on
         there is lost.
 
         Args:
             state: (N, 18) palm centre position [m], home frame, and joint angles [rad].
-            target_pose: (N, 7) position [m], home frame, and quaternion wxyz.
+            target_pose_h: (N, 7) position [m], home frame, and quaternion wxyz.
         """
         first = self.scene.target_qpos
         self._fields.qpos[:, self.scene.hand_qpos] = state + self._origin
-        self._fields.qpos[:, first : first + 7] = target_pose
+        self._fields.qpos[:, first : first + 7] = target_pose_h
         self._fields.qpos[:, first : first + PALM_DOF] += self.home_pos_w
         self._batch.forward(stage=KINEMATICS)
 
@@ -168,16 +171,16 @@ class WorldBatch:
         return self._origin[:, :PALM_DOF].copy()
 
     @property
-    def target_pose(self) -> np.ndarray:
+    def target_pose_h(self) -> np.ndarray:
         """(N, 7) position [m], home frame, and quaternion wxyz."""
-        pose = self._physics.target_pose
+        pose = self._physics.target_pose_h
         pose[:, :PALM_DOF] -= self.home_pos_w
         return pose
 
     @property
-    def target_velocity(self) -> np.ndarray:
+    def target_velocity_w(self) -> np.ndarray:
         """(N, 6) linear [m/s] and angular [rad/s] velocity, along the world's axes."""
-        return self._physics.target_velocity
+        return self._physics.target_velocity_w
 
     @property
     def visual_state(self) -> np.ndarray:
@@ -216,7 +219,9 @@ class WorldBatch:
             touch=self.contacts.finger_force_n.astype(np.float32)
             if self.rule.uses_contact_sensors
             else None,
-            environment_state=np.hstack([self.target_pose, self.target_velocity]).astype(np.float32)
+            environment_state=np.hstack([self.target_pose_h, self.target_velocity_w]).astype(
+                np.float32
+            )
             if truth
             else None,
             sighting=self.cameras.sighting(shown, state[:, :PALM_DOF], seen),
@@ -248,8 +253,8 @@ class WorldBatch:
             specs=tuple(spec if i in used else None for i, spec in enumerate(self.specs)),
             frame=self.frame.copy(),
             attempt=self.attempt.copy(),
-            target_pose=self.target_pose,
-            target_velocity=self.target_velocity,
+            target_pose_h=self.target_pose_h,
+            target_velocity_w=self.target_velocity_w,
             localized=self.localized.copy(),
             control=self.control,
             localization_radius_m=self.rule.localization_radius_m,

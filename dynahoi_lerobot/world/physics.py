@@ -21,7 +21,7 @@ class Physics:
     control step.
 
     Attributes:
-        palm_distance: (N,) [m], least distance of palm and target centre during the last control
+        palm_distance_m: (N,) [m], least distance of palm and target centre during the last control
             step.
         localized: (N,) bool, the target has been localised in the control phase.
         released: (N,) bool, the capture rule's event has happened: nothing drives the target any
@@ -33,7 +33,7 @@ class Physics:
     def __init__(self, scene: Scene, batch: Batch, fields: WorldFields, rule: CaptureRule) -> None:
         self._scene, self._batch, self._fields, self._rule = scene, batch, fields, rule
         self.n_controls = scene.model.nu
-        self.palm_distance = np.full(batch.nsim, np.inf)
+        self.palm_distance_m = np.full(batch.nsim, np.inf)
         self.localized, self.released = np.zeros((2, batch.nsim), bool)
         self.contacts: TargetContacts = no_contacts(batch.nsim)
         self._force_w: list[np.ndarray] = [np.zeros((0, SUBSTEPS, 3))] * batch.nsim
@@ -44,11 +44,11 @@ class Physics:
         """
         self._force_w[i], self.released[i] = force_w, False
 
-    def reset(self, ids: np.ndarray, palm_distance: np.ndarray) -> None:
-        """Begin an episode in worlds ``ids`` (n,), whose palms are ``palm_distance`` (n,) [m] from
+    def reset(self, ids: np.ndarray, palm_distance_m: np.ndarray) -> None:
+        """Begin an episode in worlds ``ids`` (n,), whose palms are ``palm_distance_m`` (n,) from
         their targets.
         """
-        self.palm_distance[ids], self.localized[ids] = palm_distance, False
+        self.palm_distance_m[ids], self.localized[ids] = palm_distance_m, False
         for values in (
             self.contacts.finger_force_n,
             self.contacts.palm_force_n,
@@ -57,16 +57,16 @@ class Physics:
             values[ids] = 0.0
 
     @property
-    def target_pose(self) -> np.ndarray:
+    def target_pose_h(self) -> np.ndarray:
         """(N, 7) position [m] and quaternion wxyz, world."""
         return self._fields.qpos[:, self._scene.target_qpos : self._scene.target_qpos + 7].copy()
 
     @property
-    def target_velocity(self) -> np.ndarray:
+    def target_velocity_w(self) -> np.ndarray:
         """(N, 6) linear [m/s] and angular [rad/s] velocity, world."""
         dof = self._scene.target_dof
         velocity = self._fields.qvel[:, dof : dof + 6].copy()
-        velocity[:, 3:] = (quat_to_matrix(self.target_pose[:, 3:]) * velocity[:, None, 3:]).sum(
+        velocity[:, 3:] = (quat_to_matrix(self.target_pose_h[:, 3:]) * velocity[:, None, 3:]).sum(
             axis=-1
         )
         return velocity
@@ -84,12 +84,14 @@ class Physics:
         """
         control = self._control(ids, set_points, frame)
         before = self._batch.state[ids].copy()
-        palm_distance, contacts = self._roll(ids, control)
+        palm_distance_m, contacts = self._roll(ids, control)
         self._keep(ids, contacts)
-        self.palm_distance[ids] = palm_distance.min(axis=1)
-        self.localized[ids] |= acting & (self.palm_distance[ids] < self._rule.localization_radius_m)
+        self.palm_distance_m[ids] = palm_distance_m.min(axis=1)
+        self.localized[ids] |= acting & (
+            self.palm_distance_m[ids] < self._rule.localization_radius_m
+        )
         events = np.where(
-            self.released[ids], NO_EVENT, self._rule.events(acting, palm_distance, contacts)
+            self.released[ids], NO_EVENT, self._rule.events(acting, palm_distance_m, contacts)
         )
         for row in np.flatnonzero(events != NO_EVENT):
             self._batch.state[ids[row]] = before[row]

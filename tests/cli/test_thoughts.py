@@ -37,7 +37,7 @@ def test_a_sighting_is_drawn_where_the_camera_shows_the_target(camera: str):
     rest = {"forecast": far, "ahead_s": torch.zeros(1), "intercept": far[0], "attention": None}
     thoughts = [
         SimpleNamespace(sighted=torch.tensor(pose[None, None, :3]), **rest)
-        for pose in episode.target_pose
+        for pose in episode.target_pose_h
     ]
     page = drawn(episode, thoughts, batch, view)[0, :WIDTH_PX]
     target = place((episode.images[view][0] == COLORS["target"]).all(-1))

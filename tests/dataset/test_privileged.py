@@ -27,14 +27,14 @@ TABLES = ("meta/privileged", "meta/privileged_episodes")
 def test_pandas_reads_arrays_of_the_features_shapes(dataset: Path):
     episodes = list(read_episodes(dataset))
     frames, rows = (pd.read_parquet(dataset / folder) for folder in TABLES)
-    poses = np.concatenate([episode.target_pose for episode in episodes])
+    poses = np.concatenate([episode.target_pose_h for episode in episodes])
     np.testing.assert_array_equal(np.stack(frames["target.pose"].tolist()), poses)
     held = np.concatenate([episode.localized for episode in episodes])
     np.testing.assert_array_equal(frames["localized"], held)
     for row, episode in zip(rows.itertuples(), episodes, strict=True):
         np.testing.assert_array_equal(row.open_joints, episode.open_joints)
-        np.testing.assert_array_equal(np.stack(row.target_path), episode.target_path)
-        assert row.object_mass == episode.object_mass
+        np.testing.assert_array_equal(np.stack(row.target_path), episode.target_path_h)
+        assert row.object_mass == episode.object_mass_kg
     lengths = [len(episode) for episode in episodes]
     assert frames["episode_index"].tolist() == np.repeat(range(6), lengths).tolist()
     assert frames["frame_index"].tolist() == [i for length in lengths for i in range(length)]
@@ -62,11 +62,11 @@ def test_an_episode_is_found_in_any_of_several_files(tmp_path: Path):
     store = Store(root)
     assert min(len(files) for files in store.privileged.files()) > 1
     for index, read in enumerate(read_episodes(root)):
-        np.testing.assert_array_equal(read.target_pose, varied_episode(index, 0).target_pose)
+        np.testing.assert_array_equal(read.target_pose_h, varied_episode(index, 0).target_pose_h)
     for index in (0, 255, 256, 299):
         (episode,) = read_episodes(root, [index])
         np.testing.assert_array_equal(episode.fingertips, varied_episode(index, 0).fingertips)
-        assert len(episode.target_path) == len(varied_episode(index, 0).target_path)
+        assert len(episode.target_path_h) == len(varied_episode(index, 0).target_path_h)
 
 
 def of_others(root: Path, tmp_path: Path) -> None:

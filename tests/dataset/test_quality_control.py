@@ -49,7 +49,7 @@ def problems(episode: Episode, **changes: str) -> list[str]:
         (changed("state", (9, 1), lambda y: y + 0.25), "state jumps by 0.2"),
         (changed("state", (9, 8), 1.5), "state jumps by 1.5"),
         (changed("executed_action", (9, 1), lambda y: y + 0.25), "executed_action jumps by 0.2"),
-        (changed("target_pose", (9, 1), lambda y: y + 1), "target_pose jumps by 1.0"),
+        (changed("target_pose_h", (9, 1), lambda y: y + 1), "target_pose jumps by 1.0"),
         (changed("action", (slice(8, None), 0), 2.0), "action[0] is at its limit"),
         (changed("state", slice(9, 20), lambda s: s[:1]), "state is frozen"),
         (changed("phase", 9, 0.5), "phase is not"),
@@ -73,8 +73,6 @@ def test_the_speed_of_the_class_decides_what_is_a_jump():
 def test_the_range_of_the_slides_is_that_of_the_world():
     """The same numbers in the home frame are possible at one home and not at another."""
     episode = synthetic_episode(0)
-    beside_the_end = dataclasses.replace(
-        episode, home_position=np.array([1.9, 0.0, 1.0], np.float32)
-    )
+    beside_the_end = dataclasses.replace(episode, home_pos_w=np.array([1.9, 0.0, 1.0], np.float32))
     (problem,) = trajectory_problems(beside_the_end)
     assert "-3.90 to 0.10 m are possible" in problem

@@ -197,13 +197,13 @@ def test_a_frame_column_has_a_row_per_frame_wherever_it_is_stored(dataset):
     wanted = {
         "action": np.concatenate([episode.action for episode in episodes]),
         "observation.phase": np.concatenate([episode.phase for episode in episodes]),
-        "target.pose": np.concatenate([episode.target_pose for episode in episodes]),
+        "target.pose": np.concatenate([episode.target_pose_h for episode in episodes]),
         "localized": np.concatenate([episode.localized for episode in episodes])[:, None],
         "home_position": np.concatenate(
-            [np.tile(episode.home_position, (len(episode), 1)) for episode in episodes]
+            [np.tile(episode.home_pos_w, (len(episode), 1)) for episode in episodes]
         ),
         "intercept.time": np.concatenate(
-            [[[episode.intercept_time]] * len(episode) for episode in episodes]
+            [[[episode.intercept_s]] * len(episode) for episode in episodes]
         ),
     }
     for key, values in wanted.items():
@@ -217,8 +217,8 @@ def test_a_frame_column_has_a_row_per_frame_wherever_it_is_stored(dataset):
 def test_an_episode_column_has_an_item_per_episode(dataset):
     episodes = list(read_episodes(dataset))
     for key, name in (
-        ("target_path", "target_path"),
-        ("target.pose", "target_pose"),
+        ("target_path", "target_path_h"),
+        ("target.pose", "target_pose_h"),
         ("open_joints", "open_joints"),
     ):
         for found, episode in zip(episode_column(dataset, key), episodes, strict=True):

@@ -297,7 +297,7 @@ def test_bad_actions_are_refused_and_nothing_moves() -> None:
 
 def promise(batch: WorldBatch) -> np.ndarray:
     """(N,) what the dense reward is the change of."""
-    distance_m = np.linalg.norm(batch.target_pose[:, :3] - batch.state[:, :3], axis=1)
+    distance_m = np.linalg.norm(batch.target_pose_h[:, :3] - batch.state[:, :3], axis=1)
     opened = np.stack([spec.open_joints for spec in batch.specs])
     reference = np.stack([spec.reference_joints for spec in batch.specs])
     return potential(distance_m, closure(batch.state[:, 3:], opened, reference))

@@ -56,8 +56,7 @@ def test_bins_of_duration_and_of_travel_from_the_palm_at_control_start_to_the_in
     for distance_m, expected in far_m.items():
         goal = start + np.array([0, distance_m, 0], np.float32)
         assert (
-            STRATA["travel"].label(replace(EPISODE, state=state, intercept_position=goal))
-            == expected
+            STRATA["travel"].label(replace(EPISODE, state=state, intercept_pos_h=goal)) == expected
         )
     assert STRATA["duration"].arrange({">120", "20-40", "odd", "80-120"}) == [
         "20-40",

@@ -53,11 +53,11 @@ def hand_made(
         executed_action=np.vstack([state[1:], state[-1:]]),
         fingertips=np.zeros((frames, 30), np.float32),
         phase=one_hot_phase(np.arange(frames) >= WINDOW),
-        target_pose=np.hstack([aim, np.tile([1.0, 0, 0, 0], (frames, 1))]).astype(np.float32),
-        target_velocity=np.zeros((frames, 6), np.float32),
+        target_pose_h=np.hstack([aim, np.tile([1.0, 0, 0, 0], (frames, 1))]).astype(np.float32),
+        target_velocity_w=np.zeros((frames, 6), np.float32),
         target_contacts=np.zeros((frames, 5), np.float32),
-        palm_distance=np.linalg.norm(points - aim, axis=1).astype(np.float32),
-        fingertip_distance=np.full(frames, 0.5, np.float32),
+        palm_distance_m=np.linalg.norm(points - aim, axis=1).astype(np.float32),
+        fingertip_distance_m=np.full(frames, 0.5, np.float32),
         localized=localized,
         captured=localized,
         succeeded=next_frames(localized),
@@ -86,7 +86,7 @@ def test_planar_localisation_ignores_height_and_has_the_radius_of_its_track(
 
 def test_planar_localisation_in_the_window_does_not_count():
     episode = hand_made(STILL, target=[(9.0, 0.0, 1.0)] * 5)
-    episode.target_pose[:WINDOW, :3] = STILL[0]
+    episode.target_pose_h[:WINDOW, :3] = STILL[0]
     assert METRICS["S_loc_planar"](episode) == 0.0
 
 
@@ -94,7 +94,7 @@ def test_errors_are_least_control_distances_in_units_of_a_decimetre():
     distance = np.array(
         [0.001] * WINDOW + [0.5, 0.25, 0.06, 0.3, 0.2], np.float32
     )  # the window's 1 mm must not count
-    episode = replace(hand_made(LINE), palm_distance=distance, fingertip_distance=distance)
+    episode = replace(hand_made(LINE), palm_distance_m=distance, fingertip_distance_m=distance)
     assert METRICS["E_loc"](episode) == pytest.approx(0.6)
     assert METRICS["E_gra"](episode) == pytest.approx(0.6)
 
@@ -196,8 +196,8 @@ def test_a_joint_that_the_reference_leaves_open_does_not_count_in_a_two_sided_gr
 
 def test_relative_speed_is_that_of_the_step_in_which_they_meet():
     episode = hand_made(LINE, localized_from=3)  # the palm moves at 2 m/s along x
-    episode.target_velocity[WINDOW + 2, :3] = (2.0, 1.5, 0.0)
-    episode.target_velocity[WINDOW + 3, :3] = 9.0  # after the weld
+    episode.target_velocity_w[WINDOW + 2, :3] = (2.0, 1.5, 0.0)
+    episode.target_velocity_w[WINDOW + 3, :3] = 9.0  # after the weld
     assert METRICS["relative_speed"](episode) == pytest.approx(1.5, rel=1e-4)
     assert METRICS["relative_speed"](hand_made(LINE)) is None
 
@@ -370,11 +370,13 @@ def test_a_value_that_its_own_decorator_excludes_is_refused_when_it_is_measured(
 def test_a_metric_does_not_depend_on_where_the_world_has_its_origin_or_heading(name: str):
     episode = synthetic_episode(seed=3, miss_m=0.02, image_size=None)
     turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]], np.float32)
-    state, action, pose = episode.state.copy(), episode.action.copy(), episode.target_pose.copy()
+    state, action, pose = episode.state.copy(), episode.action.copy(), episode.target_pose_h.copy()
     for array in (state, action, pose):
         array[:, :3] = array[:, :3] @ turn.T + np.float32([0.25, -0.5, 0.5])
     velocity = np.hstack(
-        [episode.target_velocity[:, :3] @ turn.T, episode.target_velocity[:, 3:] @ turn.T]
+        [episode.target_velocity_w[:, :3] @ turn.T, episode.target_velocity_w[:, 3:] @ turn.T]
     )
-    moved = replace(episode, state=state, action=action, target_pose=pose, target_velocity=velocity)
+    moved = replace(
+        episode, state=state, action=action, target_pose_h=pose, target_velocity_w=velocity
+    )
     assert METRICS[name](moved) == pytest.approx(METRICS[name](episode), abs=1e-4)

@@ -55,7 +55,7 @@ def test_depth_is_the_distance_along_the_axis(batch: WorldBatch) -> None:
     labels, depth = batch.cameras.segmentation(), batch.cameras.depth()
     camera = batch._batch.bind("cam_xpos")[:, batch.scene.camera]
     axis = -batch._batch.bind("cam_xmat")[:, batch.scene.camera].reshape(-1, 3, 3)[:, :, 2]
-    centre = ((batch.target_pose[:, :3] + batch.home_pos_w - camera) * axis).sum(axis=1)
+    centre = ((batch.target_pose_h[:, :3] + batch.home_pos_w - camera) * axis).sum(axis=1)
     seen = 0
     for i in range(batch.size):
         on_target = depth[i][np.isin(labels[i], batch.scene.target_geoms)]

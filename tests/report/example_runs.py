@@ -48,7 +48,7 @@ def play(
             action=action,
             stage=stage,
             success=not miss,
-            intercept_position=start + travel,
+            intercept_pos_h=start + travel,
         )
 
 

@@ -65,7 +65,7 @@ def test_the_object_is_the_one_that_is_simulated(specs: list[EpisodeSpec]):
     fields, scene = batch._fields.fields, batch.scene
     for i, spec in enumerate(specs):
         kept = episode_constants(batch, spec, None)
-        assert kept["object_mass"] == fields["body_mass"][i, scene.target_body]
+        assert kept["object_mass_kg"] == fields["body_mass"][i, scene.target_body]
         np.testing.assert_array_equal(
             kept["object_inertia"], fields["body_inertia"][i, scene.target_body]
         )
@@ -105,11 +105,11 @@ def test_the_target_path_is_where_the_target_is_until_it_is_touched(
     expert_episodes, contact_episodes
 ):
     for episode in [*expert_episodes[:22], *contact_episodes]:
-        meta, path = episode.meta, episode.target_path
+        meta, path = episode.meta, episode.target_path_h
         assert len(path) == meta.window_frames + meta.length_frames + 1 >= len(episode)
-        near = episode.localized if meta.capture == "attach" else episode.palm_distance < 0.2
+        near = episode.localized if meta.capture == "attach" else episode.palm_distance_m < 0.2
         untouched = max(int(np.append(near, True).argmax()), 1)
-        apart = path[:untouched] - episode.target_pose[:untouched, :3]
+        apart = path[:untouched] - episode.target_pose_h[:untouched, :3]
         assert np.abs(apart).max() < 1e-4, meta.motion
 
 

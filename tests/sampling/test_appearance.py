@@ -54,7 +54,7 @@ def test_a_randomization_changes_what_is_seen_in_every_episode(
 def test_nothing_but_images_changes() -> None:
     plain = next(record(Recording.of(image_size=32), [3]))
     varied = next(record(Recording.of(image_size=32, appearance=tuple(RANDOMIZATIONS)), [3]))
-    for name in ("state", "action", "target_pose", "target_contacts"):
+    for name in ("state", "action", "target_pose_h", "target_contacts"):
         np.testing.assert_array_equal(getattr(plain, name), getattr(varied, name))
     assert plain.meta.task == varied.meta.task
     assert np.abs(plain.images["ego"].astype(int) - varied.images["ego"]).mean() > 5

@@ -115,9 +115,9 @@ def meta(**values: object) -> Callable[[Episode], Episode]:
 VERDICTS: dict[str, Callable[[Episode], Episode]] = {
     "a state that fingertips do not have": changed("state", (-3, 8), lambda angle: angle + 0.1),
     "other fingertips": changed("fingertips", (-3, 0), lambda x: x + 0.001),
-    "a nearer palm": changed("palm_distance", 20, lambda distance: distance - 0.02),
-    "a nearer fingertip": changed("fingertip_distance", 5, lambda distance: distance - 0.001),
-    "another target": changed("target_pose", (slice(None), 2), lambda z: z + 0.05),
+    "a nearer palm": changed("palm_distance_m", 20, lambda distance: distance - 0.02),
+    "a nearer fingertip": changed("fingertip_distance_m", 5, lambda distance: distance - 0.001),
+    "another target": changed("target_pose_h", (slice(None), 2), lambda z: z + 0.05),
     "another object": changed("object_primitives", (0, 1), lambda size: size * 1.1),
     "contacts that are none": changed("target_contacts", 3, 1.0),
     "localised before": changed("localized", slice(5, None), True),
@@ -204,7 +204,7 @@ REPLAYS: dict[str, Callable[[Episode], Episode]] = {
     ),
     "another command": changed("action", (12, 0), lambda x: x + 0.01),
     "another mass": lambda episode: dataclasses.replace(
-        episode, object_mass=episode.object_mass * 1.01
+        episode, object_mass_kg=episode.object_mass_kg * 1.01
     ),
     "another seed": meta(seed=5),
 }

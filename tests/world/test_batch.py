@@ -91,7 +91,7 @@ def test_what_struck_a_target_is_not_in_the_way_of_the_next_one(specs: list[Epis
     for _ in range(12):
         fresh.step(fresh.executed)
         used.step(used.executed)
-    np.testing.assert_array_equal(used.target_pose, fresh.target_pose)
+    np.testing.assert_array_equal(used.target_pose_h, fresh.target_pose_h)
 
 
 def test_a_target_at_a_fingertip_is_nearest_to_that_finger(specs: list[EpisodeSpec]):
@@ -146,7 +146,7 @@ def test_an_episode_elsewhere_looks_the_same_in_numbers(specs: list[EpisodeSpec]
         )[None]
         for batch in (one, other):
             batch.step(command)
-        for name in ("state", "given", "target_pose", "target_velocity", "palm_distance"):
+        for name in ("state", "given", "target_pose_h", "target_velocity_w", "palm_distance_m"):
             np.testing.assert_allclose(
                 getattr(one, name), getattr(other, name), atol=ROUNDING, err_msg=name
             )
@@ -157,9 +157,9 @@ def test_an_episode_elsewhere_looks_the_same_in_numbers(specs: list[EpisodeSpec]
 def test_an_episode_keeps_its_home_apart(expert_episodes: list[Episode], specs: list[EpisodeSpec]):
     for episode, spec in zip(expert_episodes, specs, strict=True):
         np.testing.assert_array_equal(
-            episode.home_position, spec.home_pos_w
+            episode.home_pos_w, spec.home_pos_w
         )  # exactly, in single precision
-        intercept_w = episode.intercept_position + episode.home_position
+        intercept_w = episode.intercept_pos_h + episode.home_pos_w
         np.testing.assert_allclose(intercept_w, spec.intercept_pos_w, atol=ROUNDING)
         assert not episode.state[0, :PALM_DOF].any()
 
@@ -177,7 +177,7 @@ def test_stored_actions_replay_to_the_bit(control_class: str, specs: list[Episod
             recipe, [ActionLog(spec.seed, np.repeat(commands, 2, axis=0)[:60])], images=False
         )
         (again,) = replay(recipe, [ActionLog(spec.seed, first.action)], images=False)
-        for name in ("state", "action", "executed_action", "fingertips", "target_pose"):
+        for name in ("state", "action", "executed_action", "fingertips", "target_pose_h"):
             np.testing.assert_array_equal(getattr(again, name), getattr(first, name), err_msg=name)
         latency = {"standard": 0, "late": 3}[control_class]
         given, executed = (

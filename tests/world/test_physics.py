@@ -44,14 +44,14 @@ def test_a_prescribed_target_spins_steadily_and_keeps_its_velocity_in_the_world_
     batch = world([spec])
     for _ in range(spec.window_frames):
         np.testing.assert_allclose(
-            batch.target_velocity[0, 3:], [0.0, 0.0, spec.spin_rad_s], atol=1e-6
+            batch.target_velocity_w[0, 3:], [0.0, 0.0, spec.spin_rad_s], atol=1e-6
         )
         batch.step(batch.executed)
     turned = spec.yaw_rad + spec.spin_rad_s * spec.window_frames * CONTROL_DT
     half = np.array([np.cos(turned / 2), np.sin(turned / 2)])
-    assert abs(batch.target_pose[0, [3, 6]] @ half) == pytest.approx(1.0, abs=1e-6)
+    assert abs(batch.target_pose_h[0, [3, 6]] @ half) == pytest.approx(1.0, abs=1e-6)
     last, now = spec.motion.position(spec.window_frames * CONTROL_DT + np.array([-PHYSICS_DT, 0.0]))
-    np.testing.assert_allclose(batch.target_velocity[0, :3], (now - last) / PHYSICS_DT, atol=1e-6)
+    np.testing.assert_allclose(batch.target_velocity_w[0, :3], (now - last) / PHYSICS_DT, atol=1e-6)
 
 
 def test_the_angular_velocity_is_given_in_the_world_frame(specs: list[EpisodeSpec]):
@@ -63,7 +63,7 @@ def test_the_angular_velocity_is_given_in_the_world_frame(specs: list[EpisodeSpe
     _, normal = spec.motion.slope_axes()
     while batch.frame[0] < spec.intercept_frame - 1:
         batch.step(batch.executed)
-    linear, angular = batch.target_velocity[0, :3], batch.target_velocity[0, 3:]
+    linear, angular = batch.target_velocity_w[0, :3], batch.target_velocity_w[0, 3:]
     assert np.linalg.norm(linear) > 0.1
     expected = np.cross(normal, linear) / spec.target.roll_radius_m
     np.testing.assert_allclose(angular, expected, atol=0.05 * np.linalg.norm(expected))

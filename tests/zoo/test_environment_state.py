@@ -62,7 +62,7 @@ def meaning(root: Path) -> str:
 def test_a_dataset_holds_it_on_request_and_lerobot_reads_it(data: Path) -> None:
     dataset = LeRobotDataset("local/d", root=data, delta_timestamps={KEY: [-0.05, 0.0]})
     (first, _) = read_episodes(data)
-    expected = np.concatenate([first.target_pose, first.target_velocity], axis=1)
+    expected = np.concatenate([first.target_pose_h, first.target_velocity_w], axis=1)
     np.testing.assert_array_equal(dataset[3][KEY], expected[2:4])
     assert dataset.meta.features[KEY]["names"][:4] == ["x", "y", "z", "qw"]
     assert set(dataset.meta.stats[KEY]) >= {"mean", "std", "min", "max"}
@@ -76,7 +76,7 @@ def test_an_environment_shows_it_on_request() -> None:
     observation, _ = env.reset(seed=0)
     assert env.observation_space.contains(observation)
     batch = env.unwrapped._vector._batch
-    truth = np.concatenate([batch.target_pose[0], batch.target_velocity[0]])
+    truth = np.concatenate([batch.target_pose_h[0], batch.target_velocity_w[0]])
     np.testing.assert_allclose(observation["environment_state"], truth, atol=1e-6)
     blind = gym.make("dynahoi_lerobot.env:dynahoi/constant-v0", **options)
     assert "environment_state" not in blind.reset(seed=0)[0]
@@ -133,7 +133,7 @@ def test_a_dataset_holds_where_the_eye_saw_the_target(by_eye: Path) -> None:
     for episode in episodes:
         seen = episode.sighting
         acting = slice(episode.meta.window_frames, episode.first_localized)
-        error_m = np.linalg.norm(seen[acting, :3] - episode.target_pose[acting, :3], axis=1)
+        error_m = np.linalg.norm(seen[acting, :3] - episode.target_pose_h[acting, :3], axis=1)
         assert np.median(error_m) < 0.1
         across, along = np.median(seen[acting, 12:], axis=0)
         assert across < along, "one image tells directions better than distances"
