@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from support.options import benchmark_parser, write_numbers
 
+from dynahoi_lerobot.core.agent import Expert, WorldView
 from dynahoi_lerobot.core.conventions import PALM_DOF
 from dynahoi_lerobot.core.spec import EpisodeSpec
-from dynahoi_lerobot.experts.base import SingleWorldExpert, WorldView
 from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -45,7 +45,7 @@ Pinned = dict[str, Any]
 """``version`` and ``definition``; ``specs`` and ``images`` by split and seed."""
 
 
-class Closing(SingleWorldExpert):
+class Closing(Expert):
     """Moves forwards at 0.1 m/s and closes over 30 frames, whatever the target does; it changes
     with no expert.
     """

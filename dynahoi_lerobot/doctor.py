@@ -201,13 +201,13 @@ def codecs() -> Iterator[Fact]:
     if importlib.util.find_spec("torchcodec") is None:
         yield Fact("torchcodec", "none", "LeRobot decodes with PyAV")
         return
-    found, follows = version("torchcodec"), "LeRobot decodes with torchcodec"
+    found, follows, works = version("torchcodec"), "LeRobot decodes with torchcodec", True
     try:
         importlib.import_module("torchcodec")
     except (ImportError, OSError, RuntimeError):
-        found += ", finds no FFmpeg libraries"
-        follows = "LeRobot decodes with PyAV, slower; install FFmpeg's libraries for torchcodec"
-    yield Fact("torchcodec", found, follows)
+        found, works = f"{found}, finds no FFmpeg libraries", False
+        follows = "LeRobot prints a traceback and decodes with PyAV; install FFmpeg's libraries"
+    yield Fact("torchcodec", found, follows, problem=not works)
 
 
 OURS = ("dynahoi_lerobot", "lerobot_env_dynahoi", "lerobot_policy_obact")

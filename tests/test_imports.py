@@ -18,10 +18,10 @@ ROOMS = (
     "objects",
     "motions",
     "hands",
-    "metrics",
     "scene",
     "renderers",
     "captures",
+    "metrics",
     "rules",
     "experts",
     "world",
@@ -42,9 +42,13 @@ ROOMS = (
 )
 """Folders and modules of the package, in the order in which they may import each other: each only
 those before it."""
-LEARNED = ("dynahoi_lerobot.pretrain.eye_training", "dynahoi_lerobot.world.detector")
-"""What runs ObAct's eye, and so imports torch and the policy's package; others import these in
-functions alone."""
+LEARNED = (
+    "dynahoi_lerobot.env.stable_baselines",
+    "dynahoi_lerobot.pretrain.eye_training",
+    "dynahoi_lerobot.world.detector",
+)
+"""What adapts to Stable-Baselines3 or runs ObAct's eye, and so imports torch; others import these
+in functions alone."""
 TAUGHT = {"lerobot_policy_obact/teacher.py": ["dynahoi_lerobot.experts"]}
 """What policies import of the core."""
 PROGRAM = """

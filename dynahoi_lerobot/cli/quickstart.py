@@ -14,7 +14,7 @@ import sys
 import time
 import webbrowser
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import redirect_stdout
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -109,29 +109,26 @@ def run(options: Options) -> int:
 
 
 def _run_stages(out: Path, size: Size) -> None:
-    """Generate, then train and evaluate beside the baselines; skip a stage whose product exists."""
-    _run_stage("[1/3] generate a dataset", out / "dataset", _generate, out, size)
+    """Run the stages whose products do not exist, with the baselines beside the later ones."""
+    stages: list[tuple[str, Path, Callable[[Path, Size], None]]] = [
+        ("generate a dataset", out / "dataset", _generate),
+        ("train ObAct on it with lerobot-train", _checkpoint(out) / WEIGHTS, _train),
+        ("evaluate it with lerobot-eval", out / "results" / POLICY, _evaluate),
+    ]
     with ThreadPoolExecutor(1) as beside:
-        baselines = None if (out / TABLE).exists() else beside.submit(_baselines, out, size)
-        weights = _checkpoint(out) / WEIGHTS
-        _run_stage("[2/3] train ObAct on it with lerobot-train", weights, _train, out, size)
-        results = out / "results" / POLICY
-        _run_stage("[3/3] evaluate it with lerobot-eval", results, _evaluate, out, size)
+        baselines: Future[None] | None = None
+        for number, (title, product, stage) in enumerate(stages, 1):
+            begin = time.monotonic()
+            if number > 1 and baselines is None and not (out / TABLE).exists():
+                baselines = beside.submit(_baselines, out, size)
+            if product.exists():
+                took = "already done"
+            else:
+                stage(out, size)
+                took = f"{time.monotonic() - begin:.0f} s"
+            print(f"[{number}/{len(stages)}] {title}: {took}", flush=True)
         if baselines is not None:
             baselines.result()
-
-
-def _run_stage(
-    title: str, product: Path, stage: Callable[[Path, Size], None], out: Path, size: Size
-) -> None:
-    """Run a stage unless its product exists; print its title and how long it took."""
-    begin = time.monotonic()
-    if product.exists():
-        took = "already done"
-    else:
-        stage(out, size)
-        took = f"{time.monotonic() - begin:.0f} s"
-    print(f"{title}: {took}", flush=True)
 
 
 def _generate(out: Path, size: Size) -> None:

@@ -24,6 +24,8 @@ from typing import TYPE_CHECKING, Any, get_type_hints
 import numpy as np
 import yaml
 
+from dynahoi_lerobot.core.escaping import shortened
+
 if TYPE_CHECKING:
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -55,7 +57,7 @@ def reading(path: Path, *others: type[Exception]) -> Iterator[None]:
         # a number where the file was open, or PyAV's function
         named = getattr(error, "filename", None)
         file = named if isinstance(named, str) and os.sep in named else path
-        raise ReadError(f"{file} cannot be read: {' '.join(told.split())[:300]}") from error
+        raise ReadError(f"{file} cannot be read: {shortened(told, 300)}") from error
 
 
 @contextmanager

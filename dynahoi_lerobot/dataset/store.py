@@ -285,6 +285,8 @@ class Store:
         for path in self.row_files():
             file = open_table(path)
             held = {field.name: field.type for field in file.schema_arrow}
+            if "tasks" not in held:  # LeRobot's convert_image_to_video leaves it out
+                raise ReadError(f"{path} has no column 'tasks'")
             for name, kind in held.items():
                 if name in wanted.names and not fits_column(kind, told := wanted.field(name).type):
                     raise ReadError(f"{path} has a column {name} of type {kind}; it must be {told}")

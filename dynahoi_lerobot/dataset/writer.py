@@ -36,8 +36,8 @@ from dynahoi_lerobot.dataset.statistics import Stats, column_stats, image_stats,
 from dynahoi_lerobot.dataset.store import Store, StoredEpisode
 from dynahoi_lerobot.dataset.video import Encoding, VideoFile, copied_stream, encode, encoded_stream
 
-MIB = 1 << 20
 FLUSH_ROWS = 256
+MIB = 2**20
 VALUES_AT_ONCE = 10**6
 """Frames times columns whose statistics are taken together; reading a few frames costs more for
 each column than for each frame."""

@@ -175,6 +175,7 @@ class DynahoiVectorEnv(VectorEnv):
         self._threads, self._on_episode, self._inference = threads, on_episode, inference
         self._specs = SpecsAhead(self.recipe, threads=threads, keep=episodes is not None)
         self._step_limit = max_episode_steps
+        self._specs = SpecsAhead(self.recipe, threads=threads, keep=episodes is not None)
         self._batch = WorldBatch(rules, num_envs, threads)
         self._session = Session(self._batch, record_images=False)
         self.single_observation_space = observation_space(rules.features)

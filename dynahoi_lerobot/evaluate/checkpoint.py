@@ -23,6 +23,7 @@ from typing import Any, get_type_hints
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import DETECTOR_IMAGE_SIZE_PX, EGO_VIEW
+from dynahoi_lerobot.core.escaping import shortened
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, EYE, IMAGE_PREFIX
 from dynahoi_lerobot.core.reading import (
     ReadError,
@@ -703,5 +704,4 @@ def _check_statistics(file: Path, pipeline: Any, config: Any) -> None:
 
 def reason(error: BaseException) -> str:
     """Return the error's root cause in one line."""
-    text = " ".join(f"{type(error).__name__}: {error.__cause__ or error}".split())
-    return text if len(text) <= 300 else f"{text[:300]} ..."
+    return shortened(f"{type(error).__name__}: {error.__cause__ or error}", 300)

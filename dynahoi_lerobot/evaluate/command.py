@@ -7,7 +7,7 @@ from itertools import batched
 from pathlib import Path
 from typing import Any
 
-from dynahoi_lerobot.core.agent import Actor, Agent, ChunkAgent
+from dynahoi_lerobot.core.agent import Actor, Agent
 from dynahoi_lerobot.core.arguments import given_of, number, option, refuse_given, whole
 from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.core.episode import Episode
@@ -176,7 +176,7 @@ def _real_time(actor: Actor, inference: Inference) -> Actor:
     """Give the actor an inference that takes time."""
     if inference.mode == SYNC:
         return actor
-    if not isinstance(actor, ChunkAgent):
+    if not (isinstance(actor, Agent) and actor.plans):
         raise ValueError(
             f"--inference {inference.mode} needs a policy that plans chunks; {actor.name!r} is "
             f"an expert"

@@ -6,12 +6,12 @@ from functools import cache, lru_cache
 
 import numpy as np
 
-from dynahoi_lerobot.core.agent import Meeting
+from dynahoi_lerobot.core.agent import Expert, Meeting, WorldView
 from dynahoi_lerobot.core.conventions import CONTROL_DT, PALM_DOF
 from dynahoi_lerobot.core.numerics import norm
 from dynahoi_lerobot.core.protocols import ControlClass
 from dynahoi_lerobot.core.spec import EpisodeSpec
-from dynahoi_lerobot.experts.base import EXPERTS, Teacher, WorldView
+from dynahoi_lerobot.experts.base import EXPERTS
 from dynahoi_lerobot.hands import HANDS
 
 CLOSING_FRAMES = 8
@@ -34,7 +34,7 @@ SPEED_M_S = 1.0
 
 
 @EXPERTS.register("intercept")
-class Intercept(Teacher):
+class Intercept(Expert):
     """A constant-speed straight approach to the earliest point of the target's path that the hand
     can reach.
 
@@ -43,6 +43,8 @@ class Intercept(Teacher):
     be when the command takes effect. So it labels any state, also after a disturbance or a miss,
     and arrives together with the target: no wait is needed.
     """
+
+    labels_any_state = True
 
     def command(self, world: WorldView) -> np.ndarray:
         """Return (18,) the command of one world."""
@@ -99,7 +101,7 @@ def approach(world: WorldView, path_w: np.ndarray, speed_m_s: float) -> np.ndarr
 
 
 def meeting_goal(world: WorldView, path_w: np.ndarray, speed_m_s: float) -> np.ndarray:
-    """Return (18,) a `Teacher`'s goal: the earliest point of a path in reach, and fingers closed
+    """Return (18,) an expert's goal: the earliest point of a path in reach, and fingers closed
     well before it.
 
     Args:

@@ -22,8 +22,8 @@ from dynahoi_lerobot.rules import Rules
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK_ID
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
 from dynahoi_lerobot.scene.model import SIDE_CAMERA
+from dynahoi_lerobot.scene.pinhole import Pinhole
 from dynahoi_lerobot.world.batch import WorldBatch
-from dynahoi_lerobot.world.sensors import camera_pose, intrinsics
 
 
 @dataclass(frozen=True)
@@ -233,7 +233,8 @@ def episode_constants(
     """Return what does not change in an episode, by name in ``Episode``; ``meeting`` is the plan at
     control start.
     """
-    model = batch.scene.model
+    ego = Pinhole.of(batch.scene.model, EGO_VIEW)
+    side = Pinhole.of(batch.scene.model, SIDE_CAMERA)
     return object_constants(spec.motion, spec.target) | {
         "home_position": spec.home_pos_w,
         "target_path": spec.target_path_w - spec.home_pos_w,
@@ -241,10 +242,10 @@ def episode_constants(
         "intercept_time": spec.intercept_frame * CONTROL_DT,
         "open_joints": spec.open_joints,
         "reference_joints": spec.reference_joints,
-        "ego_camera": camera_pose(model, EGO_VIEW),
-        "side_camera": camera_pose(model, SIDE_CAMERA),
-        "ego_intrinsics": intrinsics(model, EGO_VIEW, batch.cameras.image_size),
-        "side_intrinsics": intrinsics(model, SIDE_CAMERA, batch.cameras.image_size),
+        "ego_camera": ego.pose,
+        "side_camera": side.pose,
+        "ego_intrinsics": ego.intrinsics(batch.cameras.image_size),
+        "side_intrinsics": side.intrinsics(batch.cameras.image_size),
         "hand_limits": [
             batch.commands.palm_speed_m_s,
             batch.control.joint_speed_rad_s,

@@ -137,15 +137,21 @@ def verify(
     recording = _recording(manifest)
     findings += _guarded("seeds", seed_problems(store, manifest, recording, note))
     findings += _guarded("verdicts", _verdicts(store, recording, progress))
-    if replayed and recording is None:
-        note("the manifest describes no recording that can be played again")
-    elif replayed and recording.recipe.salt:
-        note("its episodes are hidden behind a salt, so none was played again")
-    elif replayed:
-        drawn = drawn_evenly(store, replayed, np.random.default_rng())
-        note(f"replaying the episodes {', '.join(map(str, drawn))}")
-        findings += _guarded("replay", replay_problems(store, drawn, recording, note))
+    if replayed:
+        findings += _guarded("replay", _replay(store, recording, replayed, note))
     return findings
+
+
+def _replay(
+    store: Store, recording: Recording | None, count: int, note: Callable[[str], object]
+) -> Iterator[str]:
+    if recording is None:
+        return note("the manifest describes no recording that can be played again")
+    if recording.recipe.salt:
+        return note("its episodes are hidden behind a salt, so none was played again")
+    drawn = drawn_evenly(store, count, np.random.default_rng())
+    note(f"replaying the episodes {', '.join(map(str, drawn))}")
+    yield from replay_problems(store, drawn, recording, note)
 
 
 def _verdicts(

@@ -5,13 +5,14 @@ Of an edited dataset only LeRobot's format is checked: what we add to it is gone
 """
 
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 from av.error import FFmpegError
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
-from dynahoi_lerobot.core.reading import ReadError, open_table
+from dynahoi_lerobot.core.reading import ReadError, open_table, read_object
 from dynahoi_lerobot.dataset.columns import BOOKKEEPING, bookkeeping_arrays, column_array
 from dynahoi_lerobot.dataset.episode_table import FACTS, EpisodeRow
 from dynahoi_lerobot.dataset.manifest import Manifest, changed_files, structure_problems
@@ -19,13 +20,18 @@ from dynahoi_lerobot.dataset.paths import (
     CODEBASE_VERSION,
     DATA_PATH,
     MANIFEST_PATH,
+    STATS_PATH,
     VIDEO_PATH,
     check_root,
 )
-from dynahoi_lerobot.dataset.store import Store
+from dynahoi_lerobot.dataset.store import Store, frame_column
 from dynahoi_lerobot.dataset.video import stored_packets, stream_problem
 
 TOOL = "another tool, such as lerobot-edit-dataset, has edited this dataset"
+ACTION = "action"
+OUTSIDE, ROUNDING = 0.03, 1e-6
+"""Share of an action's numbers that may lie outside its quantiles, and by how much they may without
+being counted."""
 SHOWN = 4
 """Files that a sentence names."""
 EXACT_S = 1e-6
@@ -75,9 +81,26 @@ def edited(store: Store, manifest: Manifest | None) -> str | None:
     else:
         return None
     return (
-        f"edited: {told}: {TOOL}, so only LeRobot's format can be checked; `dynahoi filter` "
-        f"drops episodes and keeps everything of the others"
+        f"edited: {told}: {TOOL}, so only LeRobot's format can be checked{_averaged(store)}; "
+        f"`dynahoi filter` drops episodes and keeps everything of the others"
     )
+
+
+def _averaged(store: Store) -> str:
+    """Return what to add if the quantiles of the actions are not those of the actions: LeRobot's
+    tools average the quantiles of episodes.
+    """
+    with suppress(ReadError, TypeError, ValueError, KeyError):
+        told = read_object(store.root / STATS_PATH)[ACTION]
+        low, high = (np.asarray(told[name], float) for name in ("q01", "q99"))
+        values = frame_column(store.root, ACTION).astype(float)
+        outside = float(np.mean((values < low - ROUNDING) | (values > high + ROUNDING)))
+        if outside > OUTSIDE:
+            return (
+                f", and {outside:.0%} of the numbers in {ACTION!r} lie outside q01 to q99 of "
+                f"{STATS_PATH}, where 2 % should: LeRobot averaged the quantiles of episodes"
+            )
+    return ""
 
 
 def format_problems(store: Store) -> Iterator[str]:

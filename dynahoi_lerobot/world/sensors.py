@@ -19,12 +19,13 @@ from dynahoi_lerobot.core.conventions import (
     RENDER_NOISE_STREAM,
 )
 from dynahoi_lerobot.core.features import EYE
-from dynahoi_lerobot.core.numerics import matrix_to_rotvec, tan
+from dynahoi_lerobot.core.numerics import matrix_to_rotvec
 from dynahoi_lerobot.core.protocols import PROTOCOLS
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.renderers import RENDERERS, Renderer
 from dynahoi_lerobot.renderers.views import MOTION_VIEW, VIEWS
 from dynahoi_lerobot.rules import Rules
+from dynahoi_lerobot.scene.pinhole import Pinhole
 from dynahoi_lerobot.scene.scene import Scene
 from dynahoi_lerobot.scene.signed_distance import signed_distance
 from dynahoi_lerobot.scene.world_fields import WorldFields
@@ -206,10 +207,8 @@ def _detector(scene: Scene, batch: Batch, image_size: int) -> Detector:
         raise ValueError(
             f"environment_state {EYE} needs ObAct ({error}): install lerobot_policy_obact"
         ) from error
-    model = scene.model
-    return Detector(
-        batch.nsim, camera_pose(model, EGO_VIEW), intrinsics(model, EGO_VIEW, image_size)
-    )
+    camera = Pinhole.of(scene.model, EGO_VIEW)
+    return Detector(batch.nsim, camera.pose, camera.intrinsics(image_size))
 
 
 class Stage:
@@ -279,26 +278,3 @@ class Fingertips:
             size = np.broadcast_to(sizes[world, geom][:, None], local.shape)
             np.minimum.at(nearest, rows, signed_distance(shape, local, size))
         return nearest
-
-
-def camera_pose(model: mujoco.MjModel, camera: str) -> np.ndarray:
-    """Return (7,) position [m] and quaternion wxyz of a camera in the frame of the body it is fixed
-    to.
-
-    The hand's camera is fixed to the palm, which does not turn and has its origin at the palm
-    centre; the side camera to a body that is put where the palm centre waits.
-    """
-    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, camera)
-    return np.concatenate([model.cam_pos[number], model.cam_quat[number]])
-
-
-def intrinsics(model: mujoco.MjModel, camera: str, image_size: int) -> np.ndarray:
-    """Return (4,) focal lengths fx and fy and principal point cx and cy [px] in square images of
-    that side [px].
-
-    The centre of the first pixel is at (0.5, 0.5).
-    """
-    half = image_size / 2
-    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, camera)
-    focal = half / tan(np.radians(float(model.cam_fovy[number])) / 2)
-    return np.array([focal, focal, half, half])

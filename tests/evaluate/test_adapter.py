@@ -10,6 +10,7 @@ import torch
 from lerobot.configs import PreTrainedConfig
 from lerobot.policies.factory import make_policy
 from lerobot_env_dynahoi.configuration_dynahoi import DynahoiEnvConfig
+from lerobot_policy_obact import ObActPolicy
 from safetensors.torch import load_file, save_file
 
 from dynahoi_lerobot.cli.main import main
@@ -66,6 +67,23 @@ def test_an_adapter_acts_as_lerobot_makes_it_act(adapter: Path, monkeypatch) -> 
     acted = [policy.select_action(dict(batch)) for policy in (theirs, ours, plain)]
     torch.testing.assert_close(acted[0], acted[1], atol=0, rtol=0)
     assert not torch.allclose(acted[0], acted[2]), "the adapter changes something"
+
+
+def test_an_adapter_of_a_checkpoint_with_an_average_adapts_the_average(actor, tmp_path) -> None:
+    config = PreTrainedConfig.from_pretrained(str(actor))
+    config.ema_decay = 0.9
+    training = ObActPolicy(config)
+    for weight in training.acting.parameters():
+        weight.data += 0.05 * torch.randn_like(weight)
+    base, folder = tmp_path / "base", tmp_path / "adapter"
+    training.save_pretrained(base)
+    for file in actor.glob("policy_*"):
+        shutil.copy(file, base)
+    loaded = PolicyAgent(str(tiny_adapter(base, folder)))._policy
+    found = dict(loaded.model.named_parameters())
+    for name, weight in training.acting.named_parameters():
+        adapted = name.replace(".weight", ".base_layer.weight").replace(".bias", ".base_layer.bias")
+        torch.testing.assert_close(found.get(adapted, found.get(name)), weight, atol=0, rtol=0)
 
 
 def test_the_base_is_found_from_any_folder(adapter: Path, monkeypatch, tmp_path) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from lerobot.datasets.dataset_tools import (
+    convert_image_to_video_dataset,
     delete_episodes,
     merge_datasets,
     modify_tasks,
@@ -19,10 +20,13 @@ from lerobot.datasets.dataset_tools import (
 from lerobot.datasets.video_utils import RGBEncoderConfig
 from lerobot.scripts.lerobot_edit_dataset import OperationConfig, edit_dataset
 
+from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.dataset import open_dataset, read_episodes
+from dynahoi_lerobot.dataset.store import frame_column
 from dynahoi_lerobot.dataset.video import Encoding
 from dynahoi_lerobot.verify.command import verify
 from tests.dataset.episodes import write
+from tests.tools import edit_json, generated
 from tests.verify.test_forgeries import DATA, INFO, VIDEO, column, told
 
 pytestmark = pytest.mark.slow  # LeRobot takes long to import
@@ -130,3 +134,32 @@ def test_damage_that_lerobots_format_shows_is_found(dataset: Path, tmp_path: Pat
     EDITS["delete"](dataset, tmp_path / "edited")
     damage(tmp_path / "edited")
     assert {finding.check for finding in verify(tmp_path / "edited")} == {"files", "format"}
+
+
+def test_quantiles_that_are_not_those_of_the_actions_are_said(dataset: Path, tmp_path: Path):
+    EDITS["delete"](dataset, tmp_path / "edited")
+    (before,) = verify(tmp_path / "edited")
+    assert "q01" not in before.message
+    above = frame_column(tmp_path / "edited", "action").max(axis=0) + 1
+
+    def average(stats: dict) -> None:
+        stats["action"]["q01"] = above.tolist()
+
+    edit_json(tmp_path / "edited/meta/stats.json", average)
+    (finding,) = verify(tmp_path / "edited")
+    assert "100% of the numbers in 'action' lie outside" in finding.message
+
+
+def test_a_column_that_lerobots_conversion_leaves_out_is_named_with_its_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+):
+    words = ("--image-size", "32", "--codec", "images", "--motions", "constant", "--episodes", "1")
+    source = generated(tmp_path / "images", *words)
+    converted = tmp_path / "converted"
+    convert_image_to_video_dataset(open_dataset(source), converted, "local/converted")
+    found = [finding.message for finding in verify(converted)]
+    file = converted / "meta/episodes/chunk-000/file-000.parquet"
+    assert any(f"{file} has no column 'tasks'" in message for message in found), found
+    out = str(tmp_path / "x.gif")
+    assert main(["view", "--dataset", str(converted), "--episode", "0", "--out", out]) == 2
+    assert f"{file} has no column 'tasks'" in capsys.readouterr().err

@@ -1,7 +1,7 @@
 """The config behind ``--env.type=dynahoi``: what LeRobot may set, and the vector envs it gets."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, make_dataclass
+from dataclasses import dataclass, field, make_dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, get_type_hints
@@ -46,7 +46,8 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
 
     Attributes:
         task: one kind of motion, one category, several of either separated by commas, or None for
-            all 22 kinds.
+            all 22 kinds. A registered motion outside the split is played if it is named, as by
+            ``dynahoi evaluate --motions``.
         inference: ``sync``, the world waits for the policy, or ``async``, its inferences take
             ``latency_ms``, one at a time (`rollout.inference.StepwiseInference`).
         latency_ms: time from an observation to the chunk that answers it [ms].
@@ -78,7 +79,6 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
             told = "must be 1, because LeRobot's parallel tasks share one policy and its memory"
             raise ValueError(f"env.max_parallel_tasks {told}, got {self.max_parallel_tasks}")
         recipe = self.recipe()
-        kinds_of(self.task, recipe.motion_names)
         known("reward", self.reward, REWARDS)
         self._describe(recipe.rules)
 
@@ -93,7 +93,9 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
         """
         given = {name: getattr(self, name) for name in OFFERED}
         told = {name: value for name, value in given.items() if value is not None}
-        return changed(Recipe(split="test"), (trained or {}) | told)
+        recipe = changed(Recipe(split="test"), (trained or {}) | told)
+        kinds = kinds_of(self.task, recipe.motion_names)
+        return recipe if set(kinds) <= set(recipe.motion_names) else replace(recipe, motions=kinds)
 
     def create_envs(
         self, n_envs: int, use_async_envs: bool = False
@@ -181,18 +183,20 @@ def _type(feature: Feature) -> FeatureType:
     return FeatureType.STATE if feature.observed else FeatureType.ACTION
 
 
-def kinds_of(task: str | None, known: list[str]) -> list[str]:
-    """Return the kinds that ``task`` names, in the order of ``known``.
+def kinds_of(task: str | None, usual: list[str]) -> tuple[str, ...]:
+    """Return the kinds that ``task`` names: of the ``usual`` ones of a split in their order, and
+    then other registered ones.
 
     Raises:
-        ValueError: if a name is neither a kind nor a category.
+        ValueError: if a name is neither a registered kind nor a category of the usual ones.
     """
     if task is None:
-        return known
+        return tuple(usual)
     wanted = [name.strip() for name in task.split(",")]
-    categories = sorted({MOTIONS[kind].category for kind in known})
+    categories = sorted({MOTIONS[kind].category for kind in usual})
+    others = [name for name in MOTIONS.names() if name not in usual]
+    names = dict.fromkeys([*usual, *categories, *others])
     for name in wanted:
-        if name not in known and name not in categories:
-            allowed = ", ".join([*known, *categories])
-            raise ValueError(f"unknown task {name!r}; known kinds and categories: {allowed}")
-    return [kind for kind in known if kind in wanted or MOTIONS[kind].category in wanted]
+        known("task", name, names)
+    named = [kind for kind in usual if kind in wanted or MOTIONS[kind].category in wanted]
+    return (*named, *(kind for kind in others if kind in wanted))

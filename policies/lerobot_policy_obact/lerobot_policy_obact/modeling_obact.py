@@ -16,6 +16,7 @@ import torch
 from einops import rearrange
 from lerobot.policies.pretrained import PreTrainedPolicy
 from lerobot.utils.constants import ACTION, OBS_STATE
+from safetensors.torch import load_file
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
     from .teacher import Teacher
     from .virtual_episodes import VirtualEpisodes
 
+AVERAGED = "average.module."
+"""Names of averaged weights begin so in a file."""
 Batch = dict[str, Any]
 
 
@@ -348,6 +351,25 @@ class ObActPolicy(PreTrainedPolicy):
         more.
         """
         return super().from_pretrained(pretrained_name_or_path, load_pretrained=False, **kwargs)
+
+    @classmethod
+    def _load_as_safetensor(
+        cls, model: Self, model_file: str, map_location: str, strict: bool
+    ) -> Self:
+        """Load weights. A policy that keeps no average, such as the base of an adapter, continues
+        with the averaged weights, as `keep_average` does.
+        """
+        loaded = super()._load_as_safetensor(model, model_file, map_location, strict)
+        if loaded.average is None:
+            stored = load_file(model_file, device="cpu")
+            averaged = {
+                name.removeprefix(AVERAGED): weight
+                for name, weight in stored.items()
+                if name.startswith(AVERAGED)
+            }
+            if averaged:
+                loaded.model.load_state_dict(averaged)
+        return loaded
 
     def keep_average(self) -> None:
         """Continue with the averaged weights alone, which acted so far."""
