@@ -29,6 +29,7 @@ SIZES: dict[str, int] = {
     field.name: field.default for field in fields(Settings) if isinstance(field.default, int)
 }
 TINY = {
+    "itself": True,
     "only": ["state_env"],
     "rounds": 1,
     "num_envs": 2,
@@ -44,7 +45,6 @@ def main() -> None:
         "checkout",
         type=Path,
         nargs="?",
-        default=argparse.SUPPRESS,
         help="the build to compare with; this one with --tiny",
     )
     parser.add_argument(
@@ -54,12 +54,11 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=2)
     for name, value in SIZES.items():
         parser.add_argument(f"--{name.replace('_', '-')}", type=int, default=value)
+    parser.set_defaults(itself=False)
     args = parser.parse_args()
-    if args.tiny:
-        args.checkout = REPOSITORY
-    if "checkout" not in args:
+    if not (args.checkout or args.itself):
         parser.error("name the CHECKOUT to compare with")
-    args.checkout = args.checkout.resolve()
+    args.checkout = (args.checkout or REPOSITORY).resolve()
     tables = {name: compare(name, args) for name in args.only}
     write_numbers(args, tables=tables)
 
