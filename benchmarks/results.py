@@ -46,6 +46,10 @@ TINY = {
 }
 
 
+TRAINING = "training"
+"""Folder of the trainings."""
+
+
 @dataclass(frozen=True)
 class Row:
     """A row of the table.
@@ -76,7 +80,8 @@ class Plan:
 
     Attributes:
         root: folder of datasets, trainings and results.
-        datasets: by name, the episodes of each and further options of ``dynahoi generate``.
+        datasets: by name, the episodes of each, further options of ``dynahoi generate``, and
+            whether its images are encoded.
         workers: processes of that.
         split: that is evaluated.
         generate: episodes of a dataset instead of its own number; 0 for that.
@@ -99,7 +104,7 @@ class Plan:
         training, results.
         """
         run = f"{re.sub('[^a-z0-9]+', '_', row.name.lower()).strip('_')}-{seed}"
-        data, training = self.root / "data" / row.dataset, self.root / "training" / run
+        data, training = self.root / "data" / row.dataset, self.root / TRAINING / run
         dataset = self.datasets[row.dataset]
         limit = ["--episodes", str(self.episodes)] if self.episodes else []
         options = shlex.split(f"{row.train} {self.train}")
@@ -114,28 +119,40 @@ class Plan:
             *shlex.split(row.evaluate),
         ]
         results, salted = self.root / self.split / run, self.root / f"{self.split}_salted" / run
-        return {
-            data: [
-                "dynahoi",
-                "generate",
-                *shlex.split(dataset["options"]),
-                "--workers",
-                str(self.workers),
-                "--episodes",
-                str(self.generate or dataset["episodes"]),
-                "--root",
-                str(data),
-            ],
-            training: [
-                "lerobot-train",
-                f"--config_path={row.recipe}",
-                f"--dataset.root={data}",
-                f"--output_dir={training}",
-                f"--seed={seed}",
-                *options,
-            ],
-            results: [*evaluate, "--out", str(results)],
-        } | ({salted: [*evaluate, "--out", str(salted), "--salt", self.salt]} if self.salt else {})
+        encoded = dataset.get("encode", False)
+        recorded = data.with_name(f"{data.name}_images") if encoded else data
+        generate = [
+            "dynahoi",
+            "generate",
+            *shlex.split(dataset["options"]),
+            "--workers",
+            str(self.workers),
+            "--episodes",
+            str(self.generate or dataset["episodes"]),
+            "--root",
+            str(recorded),
+        ]
+        encode = {data: ["dynahoi", "encode", str(recorded), str(data)]} if encoded else {}
+        made = {recorded: generate} | encode
+        return (
+            made
+            | {
+                training: [
+                    "lerobot-train",
+                    f"--config_path={row.recipe}",
+                    f"--dataset.root={data}",
+                    f"--output_dir={training}",
+                    f"--seed={seed}",
+                    *options,
+                ],
+                results: [*evaluate, "--out", str(results)],
+            }
+            | (
+                {salted: [*evaluate, "--out", str(salted), "--salt", self.salt]}
+                if self.salt
+                else {}
+            )
+        )
 
 
 def main() -> None:
@@ -190,7 +207,8 @@ def main() -> None:
             for folder, command in commands.items():
                 if not done(folder).is_file():
                     do(folder, command)
-            _, training, *results = commands
+            (training,) = (folder for folder in commands if folder.parent.name == TRAINING)
+            results = [*commands][[*commands].index(training) + 1 :]
             runs[f"{row.name}, seed {seed}"] = pooled(results)
             minutes[f"{row.name}, seed {seed}"] = json.loads(done(training).read_text())[
                 "processor_minutes"

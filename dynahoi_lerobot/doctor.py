@@ -93,7 +93,6 @@ def examine(folder: Path) -> Iterator[Fact]:
     parts = {
         "processor": processor(),
         "disk": disk(folder),
-        "cache": encoded_images(),
         "gpu": gpu(),
         "codecs": codecs(),
         "versions": versions(),
@@ -145,18 +144,6 @@ def disk(folder: Path) -> Iterator[Fact]:
     room = f"room for about {free_gb / EPISODE_MB:.0f} thousand episodes at 128 px"
     follows = f"{LEAST_GB} GB are needed" if (full := free_gb < LEAST_GB) else room
     yield Fact("disk", f"{free_gb:.1f} GB free in {place}", follows, problem=full)
-
-
-def encoded_images() -> Iterator[Fact]:
-    """Yield the size of ObAct's cache of encoded images, where LeRobot keeps its datasets."""
-    cache = os.environ.get("HF_HOME") or Path.home() / ".cache" / "huggingface"
-    folder = Path(os.environ.get("HF_LEROBOT_HOME") or Path(cache) / "lerobot") / "obact_sightings"
-    if sizes := [file.stat().st_size for file in folder.glob("*.safetensors")]:
-        yield Fact(
-            "encoded images",
-            f"{len(sizes)} datasets, {sum(sizes) / 1e6:.0f} MB in {folder}",
-            "may be deleted",
-        )
 
 
 def gpu() -> Iterator[Fact]:

@@ -112,7 +112,7 @@ def tiny_obact(folder: Path) -> Path:
         "freeze_encoder": False,
         "horizon": 8,
     }
-    small |= {"n_obs_frames": 5, "obs_stride": 2, "n_action_steps": 4}
+    small |= {"n_obs_steps": 6, "n_action_steps": 4}
     return saved(ObActConfig(**small, **FEATURES), folder)
 
 

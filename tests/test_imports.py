@@ -30,6 +30,7 @@ ROOMS = (
     "env",
     "dataset",
     "verify",
+    "encode",
     "vlm",
     "evaluate",
     "generate",
@@ -42,15 +43,10 @@ ROOMS = (
 )
 """Folders and modules of the package, in the order in which they may import each other: each only
 those before it."""
-LEARNED = (
-    "dynahoi_lerobot.env.stable_baselines",
-    "dynahoi_lerobot.pretrain.eye_training",
-    "dynahoi_lerobot.world.detector",
-)
-"""What adapts to Stable-Baselines3 or runs ObAct's eye, and so imports torch; others import these
-in functions alone."""
-TAUGHT = {"lerobot_policy_obact/teacher.py": ["dynahoi_lerobot.experts"]}
-"""What policies import of the core."""
+LEARNED = ("dynahoi_lerobot.env.stable_baselines",)
+"""What adapts to Stable-Baselines3, and so imports torch; others import it in functions alone."""
+TAUGHT = {"lerobot_policy_obact/lerobot_policy_obact/eye/pretraining"}
+"""Modules of policies that import the core."""
 PROGRAM = """
 import importlib, pkgutil, sys
 package, learned, *heavy = sys.argv[1:]
@@ -129,16 +125,27 @@ def test_rooms_import_only_rooms_before_them():
     assert not wrong, "\n".join(wrong)
 
 
-def test_policies_import_nothing_of_the_core_but_the_expert_that_teaches_them():
-    found: dict[str, list[str]] = {}
-    for path in sorted((PACKAGE.parent / "policies").glob("*/*/*.py")):
+def imports_from(packages: set[str], folder: Path, pattern: str) -> set[str]:
+    """Return the modules below a folder that import any of the packages, without ``.py``."""
+    found = set()
+    for path in folder.glob(pattern):
         for node in ast.walk(ast.parse(path.read_text())):
             names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            for name in names:
-                if name.partition(".")[0] == PACKAGE.name:
-                    found.setdefault("/".join(path.parts[-2:]), []).append(name)
+            if packages & {name.partition(".")[0] for name in names}:
+                found.add(path.relative_to(folder).with_suffix("").as_posix())
+    return found
+
+
+def test_policies_import_nothing_of_the_core_but_what_trains_an_eye():
+    root = PACKAGE.parent / "policies"
+    found = imports_from({PACKAGE.name}, root, "*/lerobot_policy_*/**/*.py")
     assert found == TAUGHT
+
+
+def test_the_core_imports_no_policy():
+    policies = {path.name for path in (PACKAGE.parent / "policies").iterdir()}
+    assert not imports_from(policies, PACKAGE, "**/*.py")
 
 
 def test_every_folder_is_a_room():

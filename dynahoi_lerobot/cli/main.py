@@ -34,6 +34,10 @@ COMMANDS = {
         "dynahoi_lerobot.verify.filter",
         "copy a dataset without outliers as the paper defines them",
     ),
+    "encode": (
+        "dynahoi_lerobot.encode",
+        "copy a dataset with what an image encoder sees instead of images",
+    ),
     "pretrain": ("dynahoi_lerobot.pretrain.command", "pretrain an image encoder on random poses"),
     "evaluate": ("dynahoi_lerobot.evaluate.command", "evaluate a policy or a baseline on a split"),
     "report": ("dynahoi_lerobot.report.page", "write an HTML report of result folders"),

@@ -1,8 +1,8 @@
 """``dynahoi quickstart``: dataset, training, evaluation and report, in minutes on two CPU cores.
 
-generate -> lerobot-train (ObAct) -> lerobot-eval -> report. The privileged baselines, which need no
-checkpoint, are evaluated beside the training, which leaves a core idle. A stage is skipped if its
-product exists, so an interrupted quickstart resumes.
+generate -> encode -> lerobot-train (ObAct) -> lerobot-eval -> report. The privileged baselines,
+which need no checkpoint, are evaluated beside the training, which leaves a core idle. A stage is
+skipped if its product exists, so an interrupted quickstart resumes.
 """
 
 import importlib.util
@@ -112,6 +112,7 @@ def _run_stages(out: Path, size: Size) -> None:
     """Run the stages whose products do not exist, with the baselines beside the later ones."""
     stages: list[tuple[str, Path, Callable[[Path, Size], None]]] = [
         ("generate a dataset", out / "dataset", _generate),
+        ("encode its images", out / "encoded", _encode),
         ("train ObAct on it with lerobot-train", _checkpoint(out) / WEIGHTS, _train),
         ("evaluate it with lerobot-eval", out / "results" / POLICY, _evaluate),
     ]
@@ -139,6 +140,10 @@ def _generate(out: Path, size: Size) -> None:
         raise CommandError("dynahoi generate failed; see the message above")
 
 
+def _encode(out: Path, size: Size) -> None:
+    _dynahoi(out / "encode.log", "encode", out / "dataset", out / "encoded")
+
+
 def _checkpoint(out: Path) -> Path:
     return out / "training" / "pretrained_model"
 
@@ -150,7 +155,7 @@ def _train(out: Path, size: Size) -> None:
     every = max(1, size.steps // SAVES)
     arguments = [
         f"--config_path={TRAINING}",
-        f"--dataset.root={out / 'dataset'}",
+        f"--dataset.root={out / 'encoded'}",
         f"--output_dir={checkpoints.parent}",
         f"--policy.device={_device()}",
         f"--steps={size.steps}",
@@ -158,7 +163,7 @@ def _train(out: Path, size: Size) -> None:
         f"--log_freq={every}",
     ]
     looks = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
-    with progress_bar(total=size.steps, desc="encoding and training", bar_format=looks) as bar:
+    with progress_bar(total=size.steps, desc="training", bar_format=looks) as bar:
         run_lerobot("train", arguments, out, lambda: _steps(checkpoints), bar)
     checkpoint = _checkpoint(out)
     checkpoint.parent.mkdir(exist_ok=True)

@@ -75,16 +75,16 @@ def _draw_places(page: np.ndarray, thought: Any, pixel: Pixel) -> None:
     for place in thought.sighted[0].numpy():
         if (at := pixel(place)) is not None:
             cv2.drawMarker(page, at, SIGHTED, cv2.MARKER_CROSS, 22, 2, cv2.LINE_AA)
-    if (at := pixel(thought.meeting[0].numpy())) is not None:
+    if (at := pixel(thought.intercept[0].numpy())) is not None:
         cv2.circle(page, at, 13, MEETING, 2, cv2.LINE_AA)
 
 
 def _strip(thought: Any, n_frames: int) -> np.ndarray:
     """Return a bar for every frame observed so far, as wide as its share of the episode."""
     strip = np.full((STRIP_PX, WIDTH_PX, 3), BACK, np.uint8)
-    if thought.weights is None:
+    if thought.attention is None:
         return strip
-    weights = thought.weights[0].mean(0).numpy()
+    weights = thought.attention[0].mean(0).numpy()
     edges = np.linspace(0, WIDTH_PX, max(n_frames, len(weights)) + 1).astype(int)
     for weight, left, right in zip(weights, edges, edges[1:], strict=False):
         top = STRIP_PX - max(1, round(float(weight / weights.max()) * (STRIP_PX - 4)))

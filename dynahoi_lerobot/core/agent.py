@@ -244,8 +244,7 @@ class Agent(Actor):
             worlds: (n,) sorted worlds that need a chunk.
             executed: (n,) actions of each previous chunk that are past, to continue the others;
                 None for chunks that continue nothing.
-            delays: (n,) actions that will be past when each chunk is ready; None if ``executed``
-                is.
+            delays: (n,) actions that will be past when each chunk is ready; None for none.
 
         Returns:
             (n, H, 18) commands for the observed frame and those after it, and (n,) what the

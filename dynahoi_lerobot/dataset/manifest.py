@@ -22,6 +22,11 @@ NOT_OUR_FOLDERS = (".cache/", ".git/")
 itself."""
 
 
+ENCODED = "encoded"
+"""Entry of the provenance of a dataset whose images `dynahoi encode` has replaced: by which sensor,
+and the digest of the dataset that it was made from."""
+
+
 @dataclass(frozen=True)
 class Manifest:
     """Contents and provenance of a dataset.

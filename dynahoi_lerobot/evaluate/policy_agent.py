@@ -7,6 +7,7 @@ Nothing here imports torch or LeRobot before a policy is loaded.
 import time
 from collections.abc import Callable, Sequence
 from functools import wraps
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -75,6 +76,8 @@ class PolicyAgent(Agent):
         self._chunk: Any = None
         self._frame = 0
         self._guided = False
+        taken = signature(self._policy.predict_action_chunk).parameters
+        self._expects_delays = "inference_delay" in taken
         inputs = self._policy.config.input_features
         told = self.trained_for.get("environment_state") or None
         self.environment_state = told if ENVIRONMENT_STATE in inputs else ""
@@ -106,7 +109,7 @@ class PolicyAgent(Agent):
         with torch.inference_mode():
             action = self._policy.select_action(self._batch(observation))
         if self.thoughts is not None:
-            self.thoughts.append(getattr(self._policy, "thought", None))
+            self.thoughts.append(getattr(self._policy, "decision", None))
         return self._commands(action)
 
     @property
@@ -144,13 +147,14 @@ class PolicyAgent(Agent):
         start = time.perf_counter()
         batch = self._batch(observation)
         guidance: dict[str, Any] = {}
-        if executed is not None and delays is not None:
+        if delays is not None and (executed is not None or self._expects_delays):
+            guidance["inference_delay"] = int(delays[0])
+        if executed is not None:
             self._prepare_guidance()
             # the normalised actions that are not executed yet; of a chunk that is over, where it
             # led
             past = min(int(executed[0]), self._chunk.shape[1] - 1)
             guidance["prev_chunk_left_over"] = self._chunk[:, past:]  # (N, n, 18)
-            guidance["inference_delay"] = int(delays[0])
         with torch.no_grad():  # not inference_mode: LeRobot's guidance differentiates
             try:
                 self._chunk = self._policy.predict_action_chunk(

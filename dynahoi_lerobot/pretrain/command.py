@@ -10,6 +10,8 @@ from typing import Any
 import yaml
 
 from dynahoi_lerobot.core.arguments import option
+from dynahoi_lerobot.core.features import EYE
+from dynahoi_lerobot.core.image_sensor import sensor_training
 from dynahoi_lerobot.core.reading import parsed_yaml
 from dynahoi_lerobot.pretrain.recipe import read_recipe
 
@@ -43,20 +45,12 @@ class Options:
 
 
 def run(options: Options) -> int:
-    """Train, print a line at each save, and return the exit code: 1 without ObAct or for a loss
-    that is not finite.
+    """Train, print a line at each save, and return the exit code: 1 for a loss that is not
+    finite.
     """
-    try:
-        from dynahoi_lerobot.pretrain.eye_training import Training
-    except ImportError as error:
-        print(
-            f"dynahoi pretrain: needs ObAct ({error}): install lerobot_policy_obact",
-            file=sys.stderr,
-        )
-        return 1
     changes = dict(options.set) | ({} if options.out is None else {"out": str(options.out)})
     recipe = read_recipe(options.recipe, **changes)
-    training = Training(recipe)
+    training = sensor_training(EYE)(recipe)
     if training.finished:
         print(f"{recipe.out}: already trained on all {recipe.images} images")
     try:

@@ -157,10 +157,13 @@ class RealTimeAgent(Agent):
 
     def _infer(self, observation: Observation, worlds: np.ndarray) -> None:
         """Begin an inference in each of the sorted ``worlds`` (n,)."""
-        continued = self._continued(worlds) if self._continues else {}
-        for i, actions, seconds in zip(
-            worlds, *self._agent.plan(observation, worlds, **continued), strict=True
-        ):
+        planned = self._agent.plan(
+            observation,
+            worlds,
+            executed=self._executed(worlds) if self._continues else None,
+            delays=self._expected(worlds),
+        )
+        for i, actions, seconds in zip(worlds, *planned, strict=True):
             if self._delay is not None and self._delay >= len(actions):
                 raise ValueError(
                     f"the chunks of {self.name!r} have {len(actions)} actions, all of them past "
@@ -171,20 +174,21 @@ class RealTimeAgent(Agent):
             self._coming[i] = Chunk(actions, self._frame, self._frame + took)
             self._inferences, self._waited_frames = self._inferences + 1, self._waited_frames + took
 
-    def _continued(self, worlds: np.ndarray) -> dict[str, np.ndarray]:
-        """The chunks that continue in ``worlds`` (n,); an inference is expected to take as long as
-        the last one.
+    def _executed(self, worlds: np.ndarray) -> np.ndarray | None:
+        """The actions that are past of the chunks that continue in ``worlds`` (n,); None at the
+        start.
         """
         old = [chunk for i in worlds if (chunk := self._running[i]) is not None]
-        if not old:
-            return {}
-        lasted = [
-            chunk.ready - chunk.first if self._delay is None else self._delay for chunk in old
-        ]
-        return {
-            "delays": np.array(lasted),
-            "executed": np.array([self._frame - chunk.first for chunk in old]),
-        }
+        return np.array([self._frame - chunk.first for chunk in old]) if old else None
+
+    def _expected(self, worlds: np.ndarray) -> np.ndarray:
+        """The frames (n,) that inferences in ``worlds`` will take: as long as the last one, at
+        first none.
+        """
+        if self._delay is not None:
+            return np.full(len(worlds), self._delay)
+        lasted = [self._running[i] for i in worlds]
+        return np.array([0 if chunk is None else chunk.ready - chunk.first for chunk in lasted])
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from tqdm import tqdm
 from dynahoi_lerobot.core.arguments import argument, option, whole
 from dynahoi_lerobot.core.escaping import printable
 from dynahoi_lerobot.core.reading import ReadError, reading, validated
-from dynahoi_lerobot.dataset.manifest import Manifest, has_own_card
+from dynahoi_lerobot.dataset.manifest import ENCODED, Manifest, has_own_card
 from dynahoi_lerobot.dataset.paths import CARD_PATH, MANIFEST_PATH
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.rollout.recording import Recording
@@ -133,11 +133,17 @@ def verify(
         ]
     if CARD_PATH in manifest.files and not has_own_card(root, manifest):
         note(f"{CARD_PATH} is not the one that was written with the dataset, so it was not checked")
-    findings += _guarded("format", chain(meta_problems(store, manifest), video_problems(store)))
+    encoded = ENCODED in manifest.provenance
+    if encoded:
+        note("its images were encoded: check and replay the dataset that it was made from, too")
+        problems = format_problems(store)
+    else:
+        problems = chain(meta_problems(store, manifest), video_problems(store))
+    findings += _guarded("format", problems)
     recording = _recording(manifest)
     findings += _guarded("seeds", seed_problems(store, manifest, recording, note))
     findings += _guarded("verdicts", _verdicts(store, recording, progress))
-    if replayed:
+    if replayed and not encoded:
         findings += _guarded("replay", _replay(store, recording, replayed, note))
     return findings
 

@@ -1,43 +1,39 @@
-"""Where ObAct's eye sees the target: what environments show to any policy under
+"""Where an image sensor sees the target: what environments show to any policy under
 ``environment_state=eye``.
-
-This module imports torch and ObAct.
 """
 
 import numpy as np
-import torch
-from einops import rearrange
-from lerobot_policy_obact.camera import Pinhole
-from lerobot_policy_obact.encoders import Eye
-from lerobot_policy_obact.threads import on_one_thread
 
 from dynahoi_lerobot.core.features import SIGHTING_AGES
+from dynahoi_lerobot.core.image_sensor import ImageSensor
 from dynahoi_lerobot.world.frame_history import FrameHistory
 
 DECIMALS = 4
 """Sightings are rounded to 0.1 mm, below which the last bits of a network differ between
 processors."""
+LEAST_LOG_ERROR, GREATEST_LOG_ERROR = -6.0, 3.0
 
 
 class Detector:
-    """The pretrained eye on the images of the hand's camera in N worlds, and what it saw some
-    frames ago.
+    """An image sensor on the images of the hand's camera in N worlds, and what it saw some frames
+    ago.
 
     Before an episode's start stands its first image. Images are encoded one by one, so that what is
     seen in a world does not depend on the others.
 
     Args:
+        sensor: of the view of the hand's camera; its numbers are a direction, a log depth and the
+            log scales of two errors.
         size: N.
-        pose: of the camera, (7,), see `camera_pose`.
+        pose: of the camera, (7,), see `Pinhole`.
         intrinsics: of the camera, (4,) [px].
     """
 
-    def __init__(self, size: int, pose: np.ndarray, intrinsics: np.ndarray) -> None:
-        self._eye = Eye(weights="ego_96").eval()
-        self._eye.load_pretrained()
-        focal_px, _, centre_px, _ = intrinsics
-        self._camera = Pinhole.from_pose(pose.tolist(), centre_px / focal_px, carried=True)
-        self._images: dict[int, torch.Tensor] = {}
+    def __init__(
+        self, sensor: ImageSensor, size: int, pose: np.ndarray, intrinsics: np.ndarray
+    ) -> None:
+        self._sensor, self._pose, self._intrinsics = sensor, pose, intrinsics
+        self._images: dict[int, np.ndarray] = {}
         self._places = FrameHistory(size, SIGHTING_AGES[-1] + 1, (3,))
         self._scales = np.zeros((size, 2))
 
@@ -58,20 +54,12 @@ class Detector:
             frames: (N,) of their episodes.
         """
         for i in ids[frames[ids] != self._places.frame[ids]]:  # a frame may be observed twice
-            image = rearrange(torch.from_numpy(images[i]), "h w c -> 1 c h w") / 255
-            place, self._scales[i] = self._sighted(
-                image, image if self._places.frame[i] < 0 else self._images[i]
-            )
+            image = images[i].copy()
+            before = image if self._places.frame[i] < 0 else self._images[i]
+            sighting = self._sensor.see(image[None], before[None])
+            place = self._sensor.place(sighting, self._pose, self._intrinsics, carried=True)[0]
+            self._scales[i] = sighting[0, 3:].clip(LEAST_LOG_ERROR, GREATEST_LOG_ERROR)
             self._places.add(i, palm[i] + place, int(frames[i]))
             self._images[i] = image
-        seen = rearrange(self._places.values[SIGHTING_AGES, :], "a n i -> n (a i)")
+        seen = self._places.values[SIGHTING_AGES, :].transpose(1, 0, 2).reshape(len(frames), -1)
         return np.concatenate([seen, self._scales], axis=1).round(DECIMALS).astype(np.float32)
-
-    @on_one_thread
-    @torch.inference_mode()
-    def _sighted(self, image: torch.Tensor, before: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
-        """Return the target's place from the palm [m], (3,), and log scales, (2,); images are (1,
-        3, H, W).
-        """
-        sighting = self._eye(torch.cat([image, before], dim=1))
-        return self._camera.place(sighting[:, :3])[0].numpy(), sighting[0, 3:5].clamp(-6, 3).numpy()

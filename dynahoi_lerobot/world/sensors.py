@@ -5,7 +5,6 @@ are.
 from __future__ import annotations
 
 import zlib
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -19,6 +18,7 @@ from dynahoi_lerobot.core.conventions import (
     RENDER_NOISE_STREAM,
 )
 from dynahoi_lerobot.core.features import EYE
+from dynahoi_lerobot.core.image_sensor import image_sensor
 from dynahoi_lerobot.core.numerics import matrix_to_rotvec
 from dynahoi_lerobot.core.protocols import PROTOCOLS
 from dynahoi_lerobot.core.spec import EpisodeSpec
@@ -29,10 +29,8 @@ from dynahoi_lerobot.scene.pinhole import Pinhole
 from dynahoi_lerobot.scene.scene import Scene
 from dynahoi_lerobot.scene.signed_distance import signed_distance
 from dynahoi_lerobot.scene.world_fields import WorldFields
+from dynahoi_lerobot.world.detector import Detector
 from dynahoi_lerobot.world.frame_history import FrameHistory
-
-if TYPE_CHECKING:
-    from dynahoi_lerobot.world.detector import Detector
 
 KINEMATICS = mujoco.mjtStage.mjSTAGE_POS.value
 STAGE_FRAMES = 32
@@ -200,15 +198,10 @@ class Cameras:
 
 
 def _detector(scene: Scene, batch: Batch, image_size: int) -> Detector:
-    """Return the eye, which comes with the ObAct plugin; ValueError if that is not installed."""
-    try:
-        from dynahoi_lerobot.world.detector import Detector
-    except ImportError as error:
-        raise ValueError(
-            f"environment_state {EYE} needs ObAct ({error}): install lerobot_policy_obact"
-        ) from error
+    """Return the eye on the hand's camera; ValueError if nothing that is installed brings it."""
     camera = Pinhole.of(scene.model, EGO_VIEW)
-    return Detector(batch.nsim, camera.pose, camera.intrinsics(image_size))
+    eye = image_sensor(EYE)(EGO_VIEW)
+    return Detector(eye, batch.nsim, camera.pose, camera.intrinsics(image_size))
 
 
 class Stage:

@@ -37,12 +37,19 @@ def commands(path: Path) -> list[list[str]]:
     return [words for words in found if words[0] != "uv"]
 
 
+def prepared(path: Path) -> tuple[list[list[str]], str, list[list[str]]]:
+    """Return the commands that make the dataset, where it then lies, and those that follow."""
+    found = commands(path)
+    n = [words[0] for words in found].index("lerobot-train")
+    *_, last = found[:n]
+    root = last[last.index("--root") + 1] if "--root" in last else last[-1]
+    return found[:n], root, found[n:]
+
+
 @pytest.mark.parametrize("path", recipes("generate", "eye"), ids=lambda path: path.stem)
 def test_a_recipe_of_training_data_is_read(path: Path):
-    if path.parent.name == "eye":
-        recipe = read_recipe(path).episodes
-    else:
-        recipe = load_recording(path).recipe
+    is_eye = path.parent.name == "eye"
+    recipe = read_recipe(path).episodes if is_eye else load_recording(path).recipe
     assert recipe.split == "train"
 
 
@@ -57,9 +64,9 @@ def test_a_training_recipe_leaves_the_device_to_lerobot_and_can_be_evaluated(pat
         config.env.image_size
     }
     assert config.env.image_size == size
-    generate, train, *_ = commands(path)
+    (generate, *_), root, (train, *_) = prepared(path)
     assert generate[:2] == ["dynahoi", "generate"]
-    assert generate[generate.index("--root") + 1] == config.dataset.root
+    assert root == config.dataset.root
     assert train[:2] == ["lerobot-train", f"--config_path={path.relative_to(ROOT)}"]
 
 
@@ -71,12 +78,12 @@ def test_recipes_that_no_page_trains_do_so_as_their_headers_say(tmp_path, subtes
     generated, played_by_pages = set(), [words for page in pages() for words in page.commands]
     for path in recipes("train"):
         with subtests.test(recipe=path.stem):
-            generate, train, *evaluate = commands(path)
+            made, root, (train, *evaluate) = prepared(path)
             if train in played_by_pages:
                 continue
-            root = generate[generate.index("--root") + 1]
             if root not in generated:
-                Player().run(generate)
+                for words in made:
+                    Player().run(words)
                 generated.add(root)
             Player().run([*train, "--env_eval_freq=2", "--env.task=lob", "--eval.n_episodes=1"])
             out = tmp_path / "outputs" / path.stem

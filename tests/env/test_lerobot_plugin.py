@@ -239,13 +239,20 @@ def through_lerobot(
 LATE = ("--env.latency_ms=150", "--env.inference=async")
 
 
+QUEUES = {"act": [], "actor": ["--policy.n_action_steps=6", "--policy.inference_delay=3"]}
+"""What a policy is told that plays late, one action a call."""
+
+
+@pytest.mark.parametrize("policy", QUEUES)
 def test_a_policy_with_a_queue_plays_as_with_whole_chunks(
-    act: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    policy: str, request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     """The same actions as by ``dynahoi evaluate --inference async --inference-ms 150``."""
-    found = through_lerobot(act, tmp_path, monkeypatch, *LATE)
+    checkpoint = request.getfixturevalue(policy)
+    found = through_lerobot(checkpoint, tmp_path, monkeypatch, *LATE, *QUEUES[policy])
     assert found.info.extra["inference"] == "async 150 ms"
-    agent, recipe = RealTimeAgent(PolicyAgent(str(act)), Inference("async", 150.0)), found.recipe()
+    late, recipe = Inference("async", 150.0), found.recipe()
+    agent = RealTimeAgent(PolicyAgent(str(checkpoint)), late)
     specs = sample_specs(recipe, sorted(row["seed"] for row in found.rows))
     expected = {
         episode.meta.seed: episode.action
@@ -257,11 +264,7 @@ def test_a_policy_with_a_queue_plays_as_with_whole_chunks(
         assert np.ptp(actions, axis=0).max() > 0.01, "the hand moves"
 
 
-def test_a_policy_with_a_memory_or_another_queue_cannot_be_late(
-    act: Path, actor: Path, tmp_path, monkeypatch
-):
-    with pytest.raises(ValueError, match="'obact' looks back 10 frames"):
-        through_lerobot(actor, tmp_path, monkeypatch, *LATE)
+def test_a_policy_with_another_queue_cannot_be_late(act: Path, tmp_path, monkeypatch):
     with pytest.raises(ValueError, match="n_action_steps is 5, but the policy's is 8"):
         through_lerobot(act, tmp_path, monkeypatch, *LATE, "--env.n_action_steps=5")
 

@@ -9,12 +9,12 @@ import pytest
 import torch
 import yaml
 from lerobot_policy_obact.encoders import Eye
+from lerobot_policy_obact.eye import pretraining
+from lerobot_policy_obact.eye.pretraining import LOG, STATE, RunFolder
 from safetensors.torch import load_file
 from torch.utils.data import DataLoader
 
 from dynahoi_lerobot.cli.main import main
-from dynahoi_lerobot.pretrain import eye_training
-from dynahoi_lerobot.pretrain.eye_training import LOG, STATE, RunFolder
 from dynahoi_lerobot.pretrain.recipe import read_recipe
 
 TINY_EYE = {"channels": 8, "fovea": 12}
@@ -49,7 +49,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def kill_at(monkeypatch: pytest.MonkeyPatch, update: int) -> None:
     """Let the run stop in the middle of an update, counted from where it begins."""
-    loss, calls = eye_training.sighting_loss, []
+    loss, calls = pretraining.sighting_loss, []
 
     def killed(*args):
         calls.append(args)
@@ -57,11 +57,11 @@ def kill_at(monkeypatch: pytest.MonkeyPatch, update: int) -> None:
             raise KeyboardInterrupt
         return loss(*args)
 
-    monkeypatch.setattr(eye_training, "sighting_loss", killed)
+    monkeypatch.setattr(pretraining, "sighting_loss", killed)
 
 
 def test_an_eye_is_pretrained_and_a_policy_starts_from_it(finished: Path):
-    eye = Eye(**TINY_EYE, weights=str(finished / eye_training.WEIGHTS))
+    eye = Eye(**TINY_EYE, weights=str(finished / pretraining.WEIGHTS))
     eye.load_pretrained()
     assert [line["images"] for line in log(finished)] == [12, 24, 28]
     minutes = [line["processor_minutes"] for line in log(finished)]
@@ -78,13 +78,13 @@ def test_a_run_that_was_killed_twice_ends_as_one_that_was_not(finished, tmp_path
             kill_at(patch, update)
             assert main(words) == 130
         assert [line["images"] for line in log(tmp_path / "eye")] == saved
-        assert not (tmp_path / "eye" / eye_training.WEIGHTS).exists()
+        assert not (tmp_path / "eye" / pretraining.WEIGHTS).exists()
     assert main(words) == 0
     assert [line["loss"] for line in log(tmp_path / "eye")] == [
         line["loss"] for line in log(finished)
     ]
     weights, expected = (
-        load_file(folder / eye_training.WEIGHTS) for folder in (tmp_path / "eye", finished)
+        load_file(folder / pretraining.WEIGHTS) for folder in (tmp_path / "eye", finished)
     )
     for name, tensor in expected.items():
         torch.testing.assert_close(weights[name], tensor, rtol=0, atol=0, msg=name)
@@ -93,7 +93,7 @@ def test_a_run_that_was_killed_twice_ends_as_one_that_was_not(finished, tmp_path
 def test_several_processes_render_the_same_images_after_a_resume(tmp_path: Path):
     recipe = read_recipe(tiny_recipe(tmp_path, n_episodes=4), workers=2)
     whole, rest = (
-        list(DataLoader(eye_training.RenderedImages(recipe, first), None, num_workers=2))
+        list(DataLoader(pretraining.RenderedImages(recipe, first), None, num_workers=2))
         for first in (0, SAVE_EVERY)
     )
     assert len(whole) == UPDATES
@@ -119,10 +119,10 @@ def test_a_setting_overrides_the_recipe(tmp_path: Path, capsys: pytest.CaptureFi
 
 def test_a_finished_run_is_not_trained_again(finished, monkeypatch, capsys):
     kill_at(monkeypatch, 0)
-    before = (finished / eye_training.WEIGHTS).read_bytes()
+    before = (finished / pretraining.WEIGHTS).read_bytes()
     assert main(["pretrain", "--recipe", str(finished.parent / "recipe.yaml")]) == 0
     assert "already trained on all 28 images" in capsys.readouterr().out
-    assert (finished / eye_training.WEIGHTS).read_bytes() == before
+    assert (finished / pretraining.WEIGHTS).read_bytes() == before
 
 
 @pytest.mark.parametrize(
@@ -142,7 +142,7 @@ def test_a_wrong_recipe_is_refused_in_a_sentence(name: str, value: object, tmp_p
 
 
 def test_a_loss_that_is_not_finite_ends_the_run(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(eye_training, "sighting_loss", lambda *_: torch.tensor([float("nan")]))
+    monkeypatch.setattr(pretraining, "sighting_loss", lambda *_: torch.tensor([float("nan")]))
     assert main(["pretrain", "--recipe", str(tiny_recipe(tmp_path))]) == 1
     assert (
         "the loss of update 0 is nan; lower learning_rate; the last save is in"

@@ -81,11 +81,11 @@ def test_a_measured_latency_is_that_of_each_world():
     commands = played(RealTimeAgent(clock, Inference("async", None)), 6)
     assert commands.tolist() == [[STILL, 1, 102, 203, 304, 405], [STILL, STILL, 2, 3, 204, 205]]
     assert clock.calls[:4] == [
-        (0, [0, 1], None, None),
-        (1, [0], None, None),
-        (2, [0, 1], None, None),
-        (3, [0], None, None),
-    ]
+        (0, [0, 1], None, [0, 0]),
+        (1, [0], None, [1]),
+        (2, [0, 1], None, [1, 2]),
+        (3, [0], None, [1]),
+    ], "an inference is expected to take as long as the last one"
 
 
 def test_real_time_chunking_tells_what_is_executed_and_how_long_it_will_take():
@@ -94,7 +94,7 @@ def test_real_time_chunking_tells_what_is_executed_and_how_long_it_will_take():
     # The chunk of frame 0 is ready at frame 2; then two of its actions are past and two will be by
     # the next.
     assert [call[2:] for call in clock.calls] == [
-        (None, None),
+        (None, [2, 2]),
         ([2, 2], [2, 2]),
         ([2, 2], [2, 2]),
         ([2, 2], [2, 2]),

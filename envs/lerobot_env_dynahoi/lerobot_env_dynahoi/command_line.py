@@ -72,11 +72,9 @@ class Launch:
                 f"inference async must know how many actions of a chunk {name!r} executes, and is "
                 f"not told; pass --env.n_action_steps, or use dynahoi evaluate --inference async"
             )
-        frames = (
-            getattr(self.config, "lookback", None)
-            or getattr(self.config, "observation_delta_indices", None)
-            or [0]
-        )
+        frames = getattr(self.config, "observation_delta_indices", None) or [0]
+        if getattr(self.config, "sees_frames_once", False):
+            frames = [0]  # it does not mind that the world stands still while its queue is read
         return QueuedPolicy(name, steps, lookback_frames=-min(frames))
 
 

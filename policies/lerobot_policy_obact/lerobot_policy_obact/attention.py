@@ -1,5 +1,5 @@
-"""The two attentions of ObAct: in space over the cells of an image, in time over the frames
-observed so far.
+"""The two attentions of ObAct: in space over the cells of an image, in time over the observation
+history.
 
 Both have positions among their values: `SpatialAttention` averages viewing rays, `PositionReadout`
 averages the positions sighted in earlier frames. `TemporalBlock` is an ordinary causal transformer
@@ -13,7 +13,6 @@ from torch import Tensor, nn
 AGE_STEP_S, N_AGES = 0.05, 128
 """A bias by age is learned at this many ages, this far apart, and interpolated between them."""
 KEY_DIM = 16
-MEMORY_FRAMES = 200  # so many frames are remembered, ten seconds
 
 
 class SpatialAttention(nn.Module):
@@ -56,32 +55,6 @@ def cell_rays(height: int, width: int, device: torch.device) -> Tensor:
     return rearrange(torch.stack(torch.meshgrid(u, v, indexing="xy"), dim=-1), "h w i -> (h w) i")
 
 
-class Memory:
-    """What attention keeps of the frames before, so that frames may come a few at a time; without
-    gradients.
-
-    If fewer rows of the batch come than before, the last ones are over.
-    """
-
-    def __init__(self) -> None:
-        self._kept: dict[object, Tensor] = {}
-
-    def extended(self, owner: object, new: Tensor, dim: int = 1) -> Tensor:
-        """Return what is remembered for ``owner`` and, along ``dim``, what is new, which is
-        remembered too.
-        """
-        if owner in self._kept:
-            kept = self._kept[owner][: len(new)]
-            n = min(kept.shape[dim], MEMORY_FRAMES)
-            new = torch.cat([kept.narrow(dim, kept.shape[dim] - n, n), new], dim)
-        self._kept[owner] = new
-        return new
-
-    def first(self, owner: object, new: Tensor) -> Tensor:
-        """Return what was given for ``owner`` the first time."""
-        return self._kept.setdefault(owner, new)[: len(new)]
-
-
 class AgeBias(nn.Module):
     """A bias on the attention logits of each head by the age of a frame; minus infinity for frames
     that lie ahead.
@@ -119,17 +92,18 @@ class TemporalBlock(nn.Module):
         )
         self.mlp = nn.Sequential(nn.Linear(dim, 2 * dim), nn.GELU(), nn.Linear(2 * dim, dim))
 
-    def forward(self, tokens: Tensor, age_s: Tensor, memory: Memory) -> Tensor:
-        """Map tokens of T new frames ``(B, T, D)`` to tokens; their ages since all frames are ``(T,
-        S)``.
+    def forward(self, tokens: Tensor, age_s: Tensor, hidden: Tensor | None) -> Tensor:
+        """Map tokens of T frames ``(B, T, D)`` to tokens; frame k is ``age_s[q, k]`` [s] older than
+        frame q. No frame attends to those that are ``hidden``, ``(B, T)``, but to itself.
         """
         q, k, v = rearrange(
             self.qkv(self.norm_1(tokens)), "b t (n h d) -> n b h t d", n=3, h=self.n_heads
         )
-        k, v = memory.extended((self, "k"), k, dim=2), memory.extended((self, "v"), v, dim=2)
-        mixed = nn.functional.scaled_dot_product_attention(
-            q, k, v, attn_mask=self.bias(age_s).to(q.dtype)
-        )
+        bias = self.bias(age_s).to(q.dtype)
+        if hidden is not None:
+            itself = torch.eye(len(age_s), dtype=torch.bool, device=hidden.device)
+            bias = bias.masked_fill(hidden[:, None, None] & ~itself, float("-inf"))
+        mixed = nn.functional.scaled_dot_product_attention(q, k, v, attn_mask=bias)
         tokens = tokens + self.out(rearrange(mixed, "b h t d -> b t (h d)"))
         return tokens + self.mlp(self.norm_2(tokens))
 
@@ -153,28 +127,28 @@ class PositionReadout(nn.Module):
             table.copy_(-0.3 * (torch.arange(N_AGES, device=table.device) - ages[:, None]).abs())
 
     def forward(
-        self, tokens: Tensor, positions: Tensor, age_s: Tensor, rows: Tensor, memory: Memory
+        self,
+        tokens: Tensor,
+        positions: Tensor,
+        age_s: Tensor,
+        rows: Tensor,
+        hidden: Tensor | None = None,
     ) -> tuple[Tensor, Tensor]:
         """Return positions ``(B, Q, J, 3)`` [m], and the weights of the frames in them, ``(B, Q, J,
-        S)``.
+        T)``.
 
-        There are tokens ``(B, T, D)`` of T new frames, positions ``(B, T, 3)`` [m] sighted in them,
-        and their ages ``(T, S)`` [s] since all S frames; decisions are taken at the new frames
-        ``rows``, ``(B, Q)``.
+        There are tokens ``(B, T, D)`` of T frames and positions ``(B, T, 3)`` [m] sighted in them;
+        frame k is ``age_s[q, k]`` [s] older than frame q. Decisions are taken at frames ``rows``,
+        ``(B, Q)``; see `TemporalBlock.forward` for those that are ``hidden``, ``(B, T)``.
         """
-        keys, positions = (
-            memory.extended(self, self.key(tokens)),
-            memory.extended("positions", positions),
-        )
         chosen = repeat(rows, "b q -> b q d", d=tokens.shape[-1])
         queries = rearrange(
             self.query(tokens.gather(1, chosen)), "b q (j d) -> b q j d", j=self.n_points
         )
-        bias = (
-            rearrange(self.bias(age_s), "j t s -> t j s")
-            .index_select(0, rows.flatten())
-            .unflatten(0, rows.shape)
-        )
-        logits = einsum(queries, keys, "b q j d, b s d -> b q j s") / KEY_DIM**0.5
+        bias = rearrange(self.bias(age_s), "j t s -> t j s")[rows]  # (B, Q, J, T)
+        if hidden is not None:
+            itself = nn.functional.one_hot(rows, len(age_s)).bool()
+            bias = bias.masked_fill((hidden[:, None] & ~itself)[:, :, None], float("-inf"))
+        logits = einsum(queries, self.key(tokens), "b q j d, b s d -> b q j s") / KEY_DIM**0.5
         weights = (logits + bias).softmax(-1)
         return einsum(weights, positions, "b q j s, b s i -> b q j i"), weights

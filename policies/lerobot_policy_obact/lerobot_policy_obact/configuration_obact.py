@@ -5,12 +5,11 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-from lerobot.configs import FeatureType, NormalizationMode, PreTrainedConfig
+from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature, PreTrainedConfig
 from lerobot.optim import AdamWConfig, CosineDecayWithWarmupSchedulerConfig
 from lerobot.policies.rtc import RTCConfig
 
-from .attention import MEMORY_FRAMES
-from .encoders import ENCODERS
+from .encoders import ENCODERS, SHIPPED
 from .gr00t_head import Gr00tHead
 from .heads import ActionHead, DiffusionDenoiser, FlowDenoiser
 
@@ -24,11 +23,14 @@ HEADS: dict[str, Callable[..., Any]] = {
 CONTACT = "contact"
 """The rule of capture under which targets must be gripped; under all others the palm has to come
 near enough."""
-WINDOW_FRAMES = 5  # frames before the current one that LeRobot loads where a decision is to see all
+SIGHTINGS, IMAGES = "observation.sightings.", "observation.images."
+"""Keys of what a frozen encoder saw in the images of a view, and of those images."""
+EYE_PX = 96  # side of the images that the eyes that ship have learned from
+RELATIVE_DIMS = 3  # coordinates of a place, where state and action have as many
 
 
 @dataclass(frozen=True)
-class Rig:
+class Embodiment:
     """What a dataset says of the robot that it was recorded with, and of its task."""
 
     fps: float = 20.0  # frame rate [Hz]
@@ -55,26 +57,28 @@ class ObActConfig(PreTrainedConfig):
     The defaults are those of a dataset of DynaHOI. For others, `README.md` says what to change.
     """
 
-    n_obs_frames: int | None = None
-    """Observed frames before the current one, the paper's ``s``; 0 is the single-frame control,
-    None all of the last ten seconds."""
-    obs_stride: int = 1  # distance between observed frames [frames]
+    n_obs_steps: int = 6  # frames that a sample of the training shows, up to the current one
+    n_future_steps: int = 0
+    """Frames after it that a sample shows as well. Through these a palm is rolled out, which needs
+    sightings as a column (`dynahoi encode`) and the target's path."""
     horizon: int = 8  # actions in a predicted chunk, ``H``
     n_action_steps: int = 1  # actions of a chunk that are executed before the policy replans
-    relative_dims: int = 3
+    inference_delay: int = 0
+    """Actions of a chunk that will be past when it is ready, where only single actions are asked
+    for, as by `lerobot-eval`; who asks for a chunk says so himself."""
+    relative_dims: int | None = None
     """Leading entries of an action that say where to go in the frame of the same entries of
-    ``observation.state`` [m]; they are predicted as displacements. 0 for actions of another
-    kind."""
+    ``observation.state`` [m]; they are predicted as displacements. 0 for actions of another kind.
+    By default three, or as many as both have."""
 
-    encoder: str = "eye"  # one of `ENCODERS`
-    encoder_options: dict[str, Any] = field(default_factory=lambda: {"weights": "{view}_96"})
+    encoder: str = ""
+    """One of `ENCODERS`. By default the eye, with the weights that ship, where there are such for
+    all images, and else ``conv``, which is trained."""
+    encoder_options: dict[str, Any] = field(default_factory=dict)
     """Keyword options of that encoder. In a text, ``{view}`` stands for the last part of the key of
     the image, so that each camera may start from weights of its own."""
-    freeze_encoder: bool = True
-    """Whether training leaves its weights alone. All images are then encoded before training
-    begins, which reads no others; with a dataset that holds the target's path, it also shows
-    virtual hands."""
-    cache_images: bool = True  # whether encoded images are kept on disk for the next run
+    freeze_encoder: bool | None = None
+    """Whether training leaves its weights alone; by default if they have been trained before."""
     head: str = "diffusion"  # one of `HEADS`
     head_options: dict[str, Any] = field(default_factory=dict)  # keyword options of that head
     noise_seed: int = 0
@@ -87,25 +91,19 @@ class ObActConfig(PreTrainedConfig):
     n_points: int = 12  # readouts whose values are the positions sighted, ``J``; 0 for none
     width: int = 256  # size of the context that the head reads, ``C``
 
-    virtual_share: float = (
-        0.8  # share of the batches that show virtual hands, see `virtual_episodes`
-    )
-    episodes_per_sample: int = 8
-    """Episodes that a sample stands for with a frozen encoder, drawn from those that batches have
-    named so far. LeRobot decodes an image for every sample, which then goes unused."""
-    n_decisions: int = (
-        5  # decisions in an episode at which the losses of forecast and action are computed
-    )
+    n_hands: int = 2  # hands that are drawn for each window, see `windows`
+    virtual_share: float = 0.8  # share of those that are virtual; others are shown as recorded
+    n_decisions: int = 4  # decisions of a hand at which the losses of forecast and action are taken
     forecast_weight: float = 1.0
     """Weight of the loss of the forecast; 0 learns the recorded actions alone, without the target's
     path."""
     action_weight: float = 1.0  # weight of the loss of imitation
-    closed_loop_weight: float = (
-        4.0  # weight of the loss of palms that are rolled out, see `decisions`
-    )
+    closed_loop_weight: float = 4.0  # weight of the loss of palms that are rolled out, see `losses`
+    imitation_steps: int = 150
+    """Steps before that loss counts: hands led by random weights would teach little."""
     ema_decay: float = 0.995  # of the average of the weights, which acts
 
-    rig: Rig = field(default_factory=Rig)  # taken from the dataset
+    embodiment: Embodiment = field(default_factory=Embodiment)  # taken from the dataset
     rules: dict[str, Any] = field(default_factory=dict)
     """How the episodes of the dataset were played, as its manifest says, and how to evaluate."""
     rtc_config: RTCConfig | None = None  # real-time chunking, set by LeRobot's rollout
@@ -121,14 +119,14 @@ class ObActConfig(PreTrainedConfig):
     optimizer_weight_decay: float = 1e-4
     optimizer_grad_clip_norm: float = 1.0
     scheduler_warmup_steps: int = 100
-    scheduler_decay_steps: int = 2_000
+    scheduler_decay_steps: int = 1_200
 
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in (
-            "obs_stride",
+            "n_obs_steps",
             "horizon",
-            "episodes_per_sample",
+            "n_hands",
             "n_decisions",
             "dim",
             "n_heads",
@@ -136,25 +134,34 @@ class ObActConfig(PreTrainedConfig):
         ):
             self._require(getattr(self, name) >= 1, name, "1 or more")
         weights = ("forecast_weight", "action_weight", "closed_loop_weight")
-        for name in ("relative_dims", "n_points", "n_layers", "noise_seed", *weights):
+        counts = (
+            "n_future_steps",
+            "inference_delay",
+            "n_points",
+            "n_layers",
+            "noise_seed",
+            "imitation_steps",
+        )
+        for name in (*counts, *weights):
             self._require(getattr(self, name) >= 0, name, "0 or more")
-        n, most = self.n_obs_frames, MEMORY_FRAMES // self.obs_stride
-        self._require(n is None or 0 <= n <= most, "n_obs_frames", f"0 to {most}, or null for all")
         self._require(
             1 <= self.n_action_steps <= self.horizon,
             "n_action_steps",
             f"1 to {self.horizon} (horizon)",
         )
         self._require(self.dim % self.n_heads == 0, "dim", "a multiple of n_heads")
-        self._require(self.encoder in ENCODERS, "encoder", f"one of {', '.join(ENCODERS)}")
+        allowed = f"one of {', '.join(ENCODERS)}"
+        self._require(not self.encoder or self.encoder in ENCODERS, "encoder", allowed)
         self._require(self.head in HEADS, "head", f"one of {', '.join(HEADS)}")
         self._require(0 <= self.ema_decay < 1, "ema_decay", "0 or more and below 1")
         for name in ("n_steps", "n_draws"):
-            if not 1 <= (value := self.head_options.get(name, 1)) <= MAX_SAMPLING:
+            value = self.head_options.get(name, 1)
+            if not 1 <= value <= MAX_SAMPLING:
                 raise ValueError(
                     f"head_options.{name} is {value}, but must be 1 to {MAX_SAMPLING}."
                 )
-        if not 0 <= (value := self.head_options.get("closing_quantile", 0.5)) < 1:
+        value = self.head_options.get("closing_quantile", 0.5)
+        if not 0 <= value < 1:
             raise ValueError(
                 f"head_options.closing_quantile is {value}, but must be 0 or more and below 1."
             )
@@ -168,7 +175,8 @@ class ObActConfig(PreTrainedConfig):
         """Whether it learns to forecast the target; the head then reads the forecast instead of the
         state.
         """
-        return self.freeze_encoder and self.forecast_weight > 0 and bool(self.rig.capture)
+        known = self.forecast_weight > 0 and bool(self.embodiment.capture)
+        return bool(self.freeze_encoder) and known
 
     @property
     def exact(self) -> bool:
@@ -182,7 +190,7 @@ class ObActConfig(PreTrainedConfig):
         """Whether the target must be gripped; the head then also reads how far each joint is
         closed.
         """
-        return self.forecasts and self.rig.capture == CONTACT
+        return self.forecasts and self.embodiment.capture == CONTACT
 
     @property
     def sees_motion(self) -> bool:
@@ -190,20 +198,19 @@ class ObActConfig(PreTrainedConfig):
         return ENCODERS[self.encoder].sees_motion
 
     @property
-    def lookback(self) -> list[int]:
-        """Offsets of the frames that a window shows, oldest first [frames]."""
-        n = WINDOW_FRAMES if self.n_obs_frames is None else self.n_obs_frames
-        return [-i * self.obs_stride for i in range(n, -1, -1)]
+    def sees_frames_once(self) -> bool:
+        """True: a frame that is shown again while actions are queued changes nothing."""
+        return True
 
     @property
-    def observation_delta_indices(self) -> list[int] | None:
-        """Frames that LeRobot loads for every ``observation.*`` key; with a frozen encoder the
-        current one alone.
-        """
-        if self.freeze_encoder:
-            return None
-        pairs = (0, 1) if self.sees_motion else (0,)
-        return sorted({offset - pair for offset in self.lookback for pair in pairs})
+    def history_steps(self) -> int:
+        """Most frames on which a decision is based: as many as the last one in a sample sees."""
+        return self.n_obs_steps + self.n_future_steps
+
+    @property
+    def observation_delta_indices(self) -> list[int]:
+        """Frames that LeRobot loads for every ``observation.*`` key."""
+        return list(range(1 - self.n_obs_steps, 1 + self.n_future_steps))
 
     @property
     def action_delta_indices(self) -> list[int]:
@@ -220,6 +227,11 @@ class ObActConfig(PreTrainedConfig):
         return list(self.image_features)
 
     @property
+    def sighting_keys(self) -> list[str]:
+        """Keys of the columns that hold what a frozen encoder saw in the images."""
+        return [SIGHTINGS + key.rsplit(".", maxsplit=1)[-1] for key in self.cameras]
+
+    @property
     def state_keys(self) -> list[str]:
         """Keys of the vector observations, in the order in which they are concatenated, the robot's
         state first.
@@ -231,16 +243,16 @@ class ObActConfig(PreTrainedConfig):
         return sorted(keys, key=lambda key: key != "observation.state")
 
     def validate_features(self) -> None:
-        """Check that the dataset has what the policy needs.
+        """Check that the dataset has what the policy needs, and decide what its features decide.
 
         Raises:
             ValueError: if there is no RGB image or no flat action, or no state that actions could
                 be relative to.
         """
+        self.input_features = dict(map(_as_image, (self.input_features or {}).items()))
         if not self.image_features:
             raise ValueError(
-                f"ObAct needs at least one image, but the inputs are "
-                f"{sorted(self.input_features or {})}."
+                f"ObAct needs at least one image, but the inputs are {sorted(self.input_features)}."
             )
         for key, feature in self.image_features.items():
             if len(feature.shape) != 3 or feature.shape[0] != 3:
@@ -252,12 +264,20 @@ class ObActConfig(PreTrainedConfig):
                 f"'action' must be a flat vector, but the outputs are {self.output_features}."
             )
         state = self.robot_state_feature
-        sizes = min(state.shape[0] if state else 0, self.action_feature.shape[0])
-        self._require(
-            self.relative_dims <= sizes,
-            "relative_dims",
-            f"0 to {sizes}, which state and action both have",
-        )
+        most = min(state.shape[0] if state else 0, self.action_feature.shape[0])
+        if self.relative_dims is None:
+            self.relative_dims = min(RELATIVE_DIMS, most)
+        allowed = f"0 to {most}, which state and action both have"
+        self._require(0 <= self.relative_dims <= most, "relative_dims", allowed)
+        if not self.encoder:
+            seen = {
+                (f"{key.split('.')[-1]}_{x.shape[-1]}") for key, x in self.image_features.items()
+            }
+            self.encoder = "eye" if seen <= SHIPPED.keys() else "conv"
+            if self.encoder == "eye" and not self.encoder_options:
+                self.encoder_options = {"weights": f"{{view}}_{EYE_PX}"}
+        if self.freeze_encoder is None:
+            self.freeze_encoder = bool(self.encoder_options.get("weights"))
 
     def get_optimizer_preset(self) -> AdamWConfig:
         """Return AdamW as LeRobot builds it when no optimiser is given."""
@@ -272,3 +292,11 @@ class ObActConfig(PreTrainedConfig):
             peak_lr=self.optimizer_lr,
             decay_lr=0.02 * self.optimizer_lr,
         )
+
+
+def _as_image(entry: tuple[str, PolicyFeature]) -> tuple[str, PolicyFeature]:
+    """Return, for a column of sightings, the image in which the policy will see as much."""
+    key, _ = entry
+    if not key.startswith(SIGHTINGS):
+        return entry
+    return key.replace(SIGHTINGS, IMAGES), PolicyFeature(FeatureType.VISUAL, (3, EYE_PX, EYE_PX))

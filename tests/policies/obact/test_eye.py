@@ -6,9 +6,8 @@ import pytest
 import torch
 from lerobot_policy_obact.camera import Pinhole
 from lerobot_policy_obact.encoders import ENCODERS, SHIPPED, Eye
+from lerobot_policy_obact.eye.pretraining import sighting_loss
 from transformers import ViTConfig, ViTImageProcessor, ViTModel
-
-from dynahoi_lerobot.pretrain.eye_training import sighting_loss
 
 LOOKS_ALONG_X = [-0.15, 0.03, 0.21, 0.5, 0.5, -0.5, -0.5]
 """Pose of a camera behind the palm that looks along +x, with z up."""

@@ -8,10 +8,8 @@ import pytest
 import torch
 from lerobot_policy_obact.attention import (
     AGE_STEP_S,
-    MEMORY_FRAMES,
     N_AGES,
     AgeBias,
-    Memory,
     PositionReadout,
     SpatialAttention,
     TemporalBlock,
@@ -71,9 +69,7 @@ def ages(n: int, step_s: float = 0.05) -> torch.Tensor:
 def test_readouts_return_convex_combinations_of_earlier_positions():
     torch.manual_seed(0)
     readout, positions = PositionReadout(16, 5), torch.arange(6.0)[None, :, None].expand(1, 6, 3)
-    points, weights = readout(
-        torch.randn(1, 6, 16), positions, ages(6), torch.tensor([[0, 3]]), Memory()
-    )
+    points, weights = readout(torch.randn(1, 6, 16), positions, ages(6), torch.tensor([[0, 3]]))
     torch.testing.assert_close(weights @ positions[:, None], points)
     assert points.shape == (1, 2, 5, 3)
     assert torch.allclose(points[0, 0], torch.zeros(5, 3), atol=1e-6)  # nothing but the first frame
@@ -82,20 +78,16 @@ def test_readouts_return_convex_combinations_of_earlier_positions():
 
 
 @torch.no_grad()
-def test_frames_come_as_many_as_wanted_at_a_time_and_an_episode_may_be_over():
+def test_hidden_frames_change_nothing():
     torch.manual_seed(0)
-    block, tokens, memory = TemporalBlock(16, 4), torch.randn(2, 9, 16), Memory()
-    whole = block(tokens, ages(9), Memory())
-    for rows, new in ((2, slice(0, 4)), (2, slice(4, 5)), (1, slice(5, 7)), (1, slice(7, 9))):
-        few = block(tokens[:rows, new], ages(9)[new, : new.stop], memory)
-        torch.testing.assert_close(few, whole[:rows, new])
-
-
-def test_of_all_frames_the_latest_are_remembered():
-    memory, kept = Memory(), []
-    for i in range(3 * MEMORY_FRAMES):
-        kept = memory.extended("time", torch.tensor([[i]]))[0].tolist()
-    assert kept == list(range(2 * MEMORY_FRAMES - 1, 3 * MEMORY_FRAMES))
+    block, readout, tokens = TemporalBlock(16, 4), PositionReadout(16, 5), torch.randn(2, 9, 16)
+    hidden, positions = torch.arange(9).expand(2, 9) < 4, torch.randn(2, 9, 3)
+    whole = block(tokens, ages(9), hidden)
+    torch.testing.assert_close(whole[:, 4:], block(tokens[:, 4:], ages(5), None))
+    points, weights = readout(tokens, positions, ages(9), torch.tensor([[4, 8]] * 2), hidden)
+    alone, _ = readout(tokens[:, 4:], positions[:, 4:], ages(5), torch.tensor([[0, 4]] * 2))
+    torch.testing.assert_close(points, alone)
+    assert (weights[..., :4] == 0).all()
 
 
 def trained(name: str) -> ActionHead:

@@ -4,8 +4,8 @@ servers.
 
 import json
 import pickle
+import shutil
 import sys
-from copy import deepcopy
 from itertools import chain, repeat
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,23 +19,24 @@ from lerobot.async_inference.constants import SUPPORTED_POLICIES
 from lerobot.async_inference.helpers import RemotePolicyConfig, TimedObservation
 from lerobot.async_inference.policy_server import PolicyServer
 from lerobot.configs import FeatureType, PolicyFeature
-from lerobot.datasets import LeRobotDataset
+from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
+from lerobot.datasets.dataset_tools import merge_datasets, modify_features
+from lerobot.datasets.factory import resolve_delta_timestamps
 from lerobot.policies import make_pre_post_processors
 from lerobot.policies.rtc import RTCConfig
 from lerobot.rollout.inference.rtc import supports_rtc_inference
 from lerobot.scripts.lerobot_train import main
-from lerobot_policy_obact import ObActConfig, ObActPolicy, launch_policy_server, recordings
-from lerobot_policy_obact.configuration_obact import Rig
-from lerobot_policy_obact.decisions import Episodes, closed_loop_loss, decision_losses, rolled_rows
+from lerobot.utils.feature_utils import dataset_to_policy_features
+from lerobot_policy_obact import ObActConfig, ObActPolicy, dataset, launch_policy_server
+from lerobot_policy_obact.configuration_obact import Embodiment
 from lerobot_policy_obact.encoders import SHIPPED
 from lerobot_policy_obact.export import export
-from lerobot_policy_obact.network import ObActModel
-from lerobot_policy_obact.teacher import NEVER, Grip, Targets, Teacher
-from lerobot_policy_obact.virtual_episodes import SightingErrors
+from lerobot_policy_obact.frames import stepped
 from safetensors.torch import load_file
-from torch._subclasses.fake_tensor import FakeTensorMode
-from torch.nn.attention import SDPBackend, sdpa_kernel
+from torch.utils.data import DataLoader
 
+from dynahoi_lerobot.dataset import episode_column
+from dynahoi_lerobot.encode import encode
 from tests.checkpoints import FEATURES, SMALL_GR00T
 from tests.checkpoints import SHIPPED as SHIPPED_POLICY
 from tests.tools import generated, python
@@ -48,7 +49,7 @@ TINY = {
     "n_points": 4,
     "horizon": 4,
     "n_action_steps": 2,
-    "n_obs_frames": 3,
+    "n_obs_steps": 3,
 }
 TINY |= {
     "device": "cpu",
@@ -58,17 +59,6 @@ TINY |= {
 }
 TINY |= {"encoder": "conv", "freeze_encoder": False, "relative_dims": 2}
 HAND = {name: FEATURES[name] for name in ("input_features", "output_features")}
-LABELLED = {"episode_index": torch.arange(4), "action": torch.zeros(4, 4, 18)}
-"""A batch that names every episode of ``hand_root``."""
-
-
-@pytest.fixture(autouse=True)
-def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Encoded images are cached in a folder of the test, and no more virtual episodes are played
-    than are asked for.
-    """
-    monkeypatch.setattr("lerobot_policy_obact.recordings.HF_LEROBOT_HOME", tmp_path)
-    monkeypatch.setattr("lerobot_policy_obact.virtual_episodes.POOL", 1)
 
 
 def lerobot_train(
@@ -127,27 +117,27 @@ def push_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def hand_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def image_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four recorded episodes of DynaHOI."""
-    return generated(tmp_path_factory.mktemp("hand") / "data", "--image-size", "32", episodes=4)
+    return generated(tmp_path_factory.mktemp("hand") / "data", "--image-size", "96", episodes=4)
 
 
 @pytest.fixture(scope="module")
-def contact_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two recorded episodes of the contact track."""
-    return generated(
-        tmp_path_factory.mktemp("contact") / "data", "--capture", "contact", "--image-size", "32"
-    )
+def hand_root(image_root: Path) -> Path:
+    """The same episodes, encoded."""
+    encode(image_root, image_root.with_name("encoded"))
+    return image_root.with_name("encoded")
 
 
 RECORDED = {
-    "encoder": "eye",
-    "encoder_options": {"channels": 8, "fovea": 12},
-    "freeze_encoder": True,
-    "relative_dims": 3,
-    "n_obs_frames": None,
+    "encoder": "",
+    "encoder_options": {},
+    "freeze_encoder": None,
+    "relative_dims": None,
+    "n_obs_steps": 13,
+    "n_future_steps": 24,
     "n_decisions": 3,
-    "episodes_per_sample": 2,
+    "imitation_steps": 0,
 }
 
 
@@ -164,10 +154,20 @@ def hand_policy(**changes: object) -> ObActPolicy:
 
 def learner(root: Path, **changes: object) -> ObActPolicy:
     """A policy that is about to learn from recorded episodes."""
-    meta = LeRobotDataset("local/tiny", root=root).meta
+    meta = LeRobotDatasetMetadata("local/tiny", root=root)
+    features = dataset_to_policy_features(meta.features)
+    inputs = {key: x for key, x in features.items() if key != "action"}
+    config = ObActConfig(**TINY | HAND | RECORDED | {"input_features": inputs} | changes)
     torch.manual_seed(0)
-    policy = hand_policy(**(RECORDED | changes))
-    return ObActPolicy(policy.config, dataset_stats=meta.stats, dataset_meta=meta).train()
+    return ObActPolicy(config, dataset_stats=meta.stats, dataset_meta=meta).train()
+
+
+def batch_of(policy: ObActPolicy, root: Path, n: int = 4) -> dict[str, torch.Tensor]:
+    """The first batch that LeRobot would make for a policy."""
+    meta = LeRobotDatasetMetadata("local/tiny", root=root)
+    times = resolve_delta_timestamps(policy.config, meta)
+    found = LeRobotDataset("local/tiny", root=root, delta_timestamps=times)
+    return next(iter(DataLoader(found, batch_size=n, shuffle=True)))
 
 
 # -- training --------------------------------------------------------------------------------------
@@ -178,16 +178,24 @@ def test_it_trains_on_a_dataset_that_is_not_ours(push_root, tmp_path, monkeypatc
         monkeypatch, push_root, tmp_path / "out", head="gr00t", head_options=SMALL_GR00T
     )
     policy = ObActPolicy.from_pretrained(checkpoint)
-    assert policy.config.rig.fps == FPS
+    assert policy.config.embodiment.fps == FPS
+    assert policy.config.relative_dims == 2, "as many as state and action have"
     assert not policy.config.forecasts
     assert policy.select_action(step(policy)).isfinite().all()
 
 
-def test_images_in_tables_are_those_that_lerobot_reads(push_root):
-    dataset = LeRobotDataset("local/tiny", root=push_root)
-    first, second = recordings._images(dataset.meta, "observation.image", [N_FRAMES] * N_EPISODES)
-    assert first[3].equal(dataset[3]["observation.image"])
-    assert second[5].equal(dataset[N_FRAMES + 5]["observation.image"])
+@pytest.mark.parametrize("left_out", [[], ["observation.state"]], ids=["state", "images alone"])
+def test_the_defaults_fit_any_dataset(left_out: list[str], push_root, tmp_path, monkeypatch):
+    root = push_root
+    if left_out:
+        root, source = tmp_path / "images", LeRobotDataset("local/tiny", root=push_root)
+        modify_features(source, remove_features=left_out, output_dir=root)
+    monkeypatch.setattr(f"{__name__}.TINY", {"device": "cpu", "push_to_hub": False})
+    policy = ObActPolicy.from_pretrained(lerobot_train(monkeypatch, root, tmp_path / "out"))
+    config = policy.config
+    assert (config.encoder, config.freeze_encoder) == ("conv", False)
+    assert config.relative_dims == 2 - len(left_out) * 2
+    assert policy.select_action(step(policy)).isfinite().all()
 
 
 def test_it_learns_from_recorded_episodes_with_the_target_s_path(hand_root, tmp_path, monkeypatch):
@@ -196,28 +204,15 @@ def test_it_learns_from_recorded_episodes_with_the_target_s_path(hand_root, tmp_
     )
     config = policy.config
     assert config.forecasts
+    assert (config.encoder, config.freeze_encoder) == ("eye", True)
     assert set(config.input_features) == {"observation.images.ego", "observation.state"}, (
-        "a robot has no phase"
+        "it acts on images, and a robot has no phase"
     )
-    assert (config.rig.palm_speed_m_s, config.rig.delay_frames) == (0.5, 0), "of class standard"
-    pose = config.rig.calibration["observation.images.ego"]
+    embodiment = config.embodiment
+    assert (embodiment.palm_speed_m_s, embodiment.delay_frames) == (0.5, 0), "of class standard"
+    pose = embodiment.calibration["observation.images.ego"]
     assert pose[:3] == pytest.approx([-0.15, 0.03, 0.21]), "where the hand's camera is"
     assert policy.select_action(step(policy)).shape == (2, 18)
-
-
-def test_on_the_contact_track_it_learns_to_close_and_to_hold(contact_root, tmp_path, monkeypatch):
-    options = RECORDED | {"virtual_share": 1.0}
-    policy = ObActPolicy.from_pretrained(
-        lerobot_train(monkeypatch, contact_root, tmp_path / "out", **options)
-    )
-    assert policy.config.grips
-    assert policy.config.rig.palm_speed_m_s == 2.0
-    observation = step(policy)
-    opened = policy.select_action(observation)
-    assert opened.shape == (2, 18)
-    policy.reset()
-    observation["observation.state"][:, 3:] += 1.0
-    assert not policy.select_action(observation).allclose(opened), "the head reads the fingers"
 
 
 @pytest.mark.parametrize(
@@ -231,10 +226,11 @@ def test_on_the_contact_track_it_learns_to_close_and_to_hold(contact_root, tmp_p
 )
 def test_the_loss_falls(changes: dict, falls: str, hand_root: Path):
     policy = learner(hand_root, **changes)
+    batch = batch_of(policy, hand_root)
     optimizer = torch.optim.Adam(policy.get_optim_params(), lr=3e-3)
     losses = []
     for _ in range(60):
-        loss, told = policy(LABELLED)
+        loss, told = policy(batch)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
@@ -244,148 +240,63 @@ def test_the_loss_falls(changes: dict, falls: str, hand_root: Path):
         "without a path there is neither"
     )
     assert np.mean(losses[-10:]) < 0.85 * np.mean(losses[:10])
-    one_each, _ = policy(LABELLED, reduction="none")
+    one_each, _ = policy(batch, reduction="none")
     assert one_each.shape == (4,)
 
 
-def test_the_closed_loop_teaches_forecast_and_head(hand_root: Path):
-    pull = {}
-    for weight in (0.0, 4.0):
-        weights = {"action_weight": 0.0, "forecast_weight": 1e-12, "closed_loop_weight": weight}
-        policy = learner(hand_root, episodes_per_sample=8, **weights)
-        policy(LABELLED)[0].backward()
-        parts = policy.model.head.base, policy.model.when, policy.model.belief.bend[-1]
-        pull[weight] = [
-            0.0 if part.weight.grad is None else float(part.weight.grad.abs().max())
-            for part in parts
-        ]
-    assert max(pull[0.0]) < 1e-8
-    assert min(pull[4.0]) > 1e-6
+def test_images_and_their_sightings_are_the_same_to_a_frozen_encoder(image_root, hand_root):
+    found = []
+    for root in (image_root, hand_root):
+        policy = learner(root, n_future_steps=0, n_obs_steps=40)
+        torch.manual_seed(0)
+        found.append(policy._window(batch_of(policy, root, n=8)).frames)
+    images, columns = found
+    torch.testing.assert_close(images.state, columns.state)
+    assert images.hidden.equal(columns.hidden)
+    seen = ~images.hidden
+    # the video is decoded in full colour by one reader and not by the other
+    torch.testing.assert_close(images.sightings[seen], columns.sightings[seen], atol=0.1, rtol=0)
 
 
-def rolled_out(
-    path: torch.Tensor, state: torch.Tensor, act_once, first: int = 10, late: int = 0
-) -> torch.Tensor:
-    """The loss of a model on a recorded (1, 60) path and hand, whose palm is rolled out from frame
-    ``first`` on.
-    """
-    full = torch.tensor([60])
-    targets = Targets(path, full, full, path, torch.tensor([NEVER]))
-    episodes = Episodes(
-        torch.zeros(1, 60, 1, 5), state, torch.zeros(1, 60, 18), full, torch.tensor([10]), targets
-    )
-    config = SimpleNamespace(rig=Rig(delay_frames=late, palm_speed_m_s=0.5))
-    model = SimpleNamespace(config=config, device="cpu", act_once=act_once)
-    teacher = Teacher(20.0, 0.025, torch.zeros(15), torch.ones(15), 0.03)
-    return closed_loop_loss(
-        model, torch.zeros(1, 24), episodes, torch.arange(first, first + 24)[None], teacher
-    ).sum()
+def test_a_window_shows_the_target_as_it_moves_from_its_first_frame_on(hand_root):
+    policy = learner(hand_root)
+    batch = batch_of(policy, hand_root, n=16)
+    window, paths = policy._window(batch), episode_column(hand_root, "target_path")
+    for i, (episode, index) in enumerate(zip(batch["episode_index"], batch["index"], strict=True)):
+        first = int(index - policy.targets.first_index[episode]) - 12
+        path = torch.from_numpy(paths[int(episode)])
+        for row in (0, 12, 36, 60):
+            place = path[min(max(first + row, 0), len(path) - 1)]
+            torch.testing.assert_close(window.targets.path[i, row], place)
+        assert window.frames.hidden[i].sum() == max(0, -first)
 
 
-@pytest.mark.parametrize("late", [0, 3])
-def test_a_palm_is_rolled_out_from_when_the_first_command_takes_effect(late: int):
-    """The palm is near the target in that frame alone, and stays where it is."""
-    path = torch.arange(60)[None, :, None] * torch.tensor([0.04, 0.0, 0.0])
-    state = torch.full((1, 60, 18), 9.0)
-    state[:, 10 + late, :3] = path[:, 10 + late]
-    still = lambda outlook, palm, state: palm  # noqa: E731
-    assert rolled_out(path, state, still, late=late) < 0.05
-    assert rolled_out(path, state, still, first=11, late=late) > 1
+def test_images_are_not_decoded_for_frames_to_come(image_root):
+    with pytest.raises(
+        ValueError, match=r"n_future_steps is 24, but must be 0 .* `dynahoi encode`"
+    ):
+        learner(image_root)
 
 
-@pytest.mark.parametrize("teacher", [Teacher, Grip])
-def test_a_training_step_mixes_no_devices(teacher: type[Teacher]):
-    """Fake tensors need no GPU, and refuse what one would refuse."""
-    rig = Rig(palm_speed_m_s=0.5, capture="contact" if teacher is Grip else "attach")
-    views = {
-        f"observation.images.{view}": PolicyFeature(FeatureType.VISUAL, (3, 32, 32))
-        for view in ("ego", "side")
-    }
-    inputs = views | {"observation.state": PolicyFeature(FeatureType.STATE, (18,))}
-    config = hand_policy(**RECORDED, rig=rig, input_features=inputs).config
-    path, full = torch.rand(2, 60, 3), torch.full((2,), 60)
-    targets = Targets(path, full, full, path, torch.full((2,), NEVER))
-    state = torch.zeros(2, 60, 18)
-    episodes = Episodes(
-        torch.zeros(2, 60, 2, 5), state, state, full, torch.tensor([10, 12]), targets
-    )
-    expert = teacher(20.0, 0.025, torch.zeros(15), torch.ones(15), 0.03)
-    rows, rolled = episodes.decision_rows(3, 0), rolled_rows(episodes, 0)
-    decisions, seen = episodes.decisions(rows, expert, config), torch.cat([rows, rolled], dim=1)
-    frames = episodes.frames(seen, 20.0)
-    with FakeTensorMode(allow_non_fake_inputs=True), sdpa_kernel(SDPBackend.MATH):
-        with torch.device("cuda"):
-            model = ObActModel(config)
-        outlook = model.encode_history(frames.to("cuda"), seen.to("cuda"))
-        losses = decision_losses(model, outlook[:, :3], decisions.to("cuda"))
-        losses["closed_loop"] = closed_loop_loss(model, outlook[:, 3:], episodes, rolled, expert)
-    assert {loss.device.type for loss in losses.values()} == {"cuda"}
+def test_without_the_targets_path_the_closed_loop_is_off_and_says_so(hand_root, tmp_path, caplog):
+    root = shutil.copytree(hand_root, tmp_path / "other")
+    for folder in ("privileged", "privileged_episodes"):
+        shutil.rmtree(root / "meta" / folder)
+    policy = learner(root)
+    assert "the closed loop is off for local/tiny: it lacks the target's path" in caplog.text
+    assert set(policy(batch_of(policy, root))[1]) == {"action"}
 
 
-def test_virtual_hands_stay_where_they_are_when_the_policy_moves(hand_root: Path, monkeypatch):
-    monkeypatch.setattr(
-        "lerobot_policy_obact.virtual_episodes.USES", 0
-    )  # each call plays episodes of its own
-    policy = learner(hand_root, virtual_share=1.0)
-    policy(LABELLED)
-    leader = deepcopy(policy.acting)
-    policy.to("meta")  # a device that holds no numbers, so whoever reads its tensors fails
-    assert policy.virtual.draw(2, leader).sightings.isfinite().all()
-
-
-def test_the_closed_loop_loss_falls_where_the_head_learns_to_meet_the_target():
-    """A head that sends every palm to one place, and a target that waits 12 cm away."""
-    path, goal = (
-        torch.tensor([0.1, 0.05, -0.05]).expand(1, 60, 3),
-        torch.zeros(3, requires_grad=True),
-    )
-    head = lambda outlook, palm, state: torch.cat([goal.expand(1, 3), state[:, 3:]], dim=1)  # noqa: E731
-    optimizer, losses = torch.optim.Adam([goal], lr=0.02), []
-    for _ in range(60):
-        loss = rolled_out(path, torch.zeros(1, 60, 18), head)
-        optimizer.zero_grad()
-        loss.backward()
-        losses.append(loss.item())
-        optimizer.step()
-    assert losses[0] > 1.0
-    assert losses[-1] < 0.1
-
-
-@pytest.mark.parametrize("virtual_share", [0.0, 1.0], ids=["recorded", "virtual"])
-def test_it_learns_from_no_episode_that_lerobot_holds_out(virtual_share, hand_root, monkeypatch):
-    monkeypatch.setattr(
-        "lerobot_policy_obact.virtual_episodes.USES", 0
-    )  # each call plays episodes of its own
-    policy = learner(hand_root, virtual_share=virtual_share, episodes_per_sample=8)
-
-    def named(*episodes: int) -> dict[str, torch.Tensor]:
-        return {
-            "episode_index": torch.tensor(episodes),
-            "action": torch.zeros(len(episodes), 4, 18),
-        }
-
-    policy(named(0, 1))
-    policy.recordings.episodes.sightings[2:] = torch.nan
-    policy.recordings.episodes.targets.path[2:] = torch.nan
-    for n in (2, 1, 2):  # the last batch of an epoch is smaller
-        loss, _ = policy(named(*range(n)))
-        assert loss.isfinite()
-    policy.eval()
-    assert policy(named(0, 1))[0].isfinite()
-    assert policy(named(0, 2))[0].isnan()
-
-
-def test_fingers_that_need_not_grip_hide_nothing_in_recorded_and_virtual_frames(
-    hand_root: Path, monkeypatch
-):
-    shown, applied = [], SightingErrors.applied
-    monkeypatch.setattr(
-        SightingErrors, "applied", lambda self, true: shown.append(true) or applied(self, true)
-    )
-    policy = learner(hand_root, virtual_share=1.0)
-    policy(LABELLED)
-    assert (policy.virtual.errors[0].true[:, 3] == 0).all()
-    assert (torch.cat(shown)[:, 3] == 0).all()
+def test_the_closed_loop_counts_once_it_has_imitated(hand_root):
+    policy = learner(hand_root, imitation_steps=2, virtual_share=0.0)
+    batch, losses = batch_of(policy, hand_root), []
+    for _ in range(3):
+        torch.manual_seed(0)
+        loss, told = policy(batch)
+        losses.append(float(loss) - told["forecast"] - told["action"] - told["missed"])
+        policy.update()
+    assert losses[:2] == pytest.approx([0, 0], abs=1e-3)
+    assert losses[2] > 0.1
 
 
 def test_each_camera_starts_from_weights_of_its_own():
@@ -450,7 +361,7 @@ def test_a_checkpoint_that_ships_acts(name: str):
 @torch.no_grad()
 def varied(**changes: object) -> ObActPolicy:
     """A policy whose draws differ."""
-    policy = hand_policy(n_action_steps=1, obs_stride=1, **changes)
+    policy = hand_policy(**{"n_action_steps": 1, "n_obs_steps": 9} | changes)
     for parameter in policy.acting.parameters():
         parameter.add_(0.05 * torch.randn_like(parameter))
     return policy
@@ -478,14 +389,14 @@ def test_an_action_follows_from_what_was_seen_and_not_from_batch_order_interrupt
 
 
 def test_every_frame_has_noise_of_its_own():
-    policy = varied(n_obs_frames=0)
+    policy = varied(n_obs_steps=1)
     batch = step(policy)
     first, second = policy.select_action(batch), policy.select_action(batch)
     assert (first - second).abs().max() > 1e-3
 
 
 def test_frames_that_were_dropped_count_as_time_that_passed_also_between_chunks():
-    policy = varied(n_obs_frames=None)
+    policy = varied()
     seen = [
         step(policy, seed=i) | {"timestamp": torch.tensor([t])}
         for i, t in enumerate((0.0, 0.1, 0.5))
@@ -508,7 +419,7 @@ def test_frames_that_were_dropped_count_as_time_that_passed_also_between_chunks(
 
 
 def test_a_window_reaches_back_over_frames_that_were_dropped():
-    policy = varied(n_obs_frames=5)
+    policy = varied()
 
     def later(first: int) -> torch.Tensor:
         policy.reset()
@@ -519,7 +430,7 @@ def test_a_window_reaches_back_over_frames_that_were_dropped():
 
 
 def test_frames_are_ticks_of_the_robots_clock_however_often_and_late_a_caller_asks(monkeypatch):
-    policy = varied(n_obs_frames=None)
+    policy = varied()
     clock = chain([100.0, 100.02, 100.06, 100.09, 100.16], repeat(0.0))  # ticks 0, 0, 1, 2 and 3
     monkeypatch.setattr("time.monotonic", lambda: next(clock))
     hurried = [policy.predict_action_chunk(step(policy, seed=i)) for i in (0, 0, 1, 2, 3)]
@@ -532,7 +443,7 @@ def test_frames_are_ticks_of_the_robots_clock_however_often_and_late_a_caller_as
 
 
 def test_the_last_frame_of_the_episode_before_is_forgotten(monkeypatch):
-    policy = varied(n_obs_frames=None)
+    policy = varied()
     clock = chain([100.0, 100.05, 110.0, 110.02, 110.07, 110.12, 0.0, 0.05], repeat(0.0))
     monkeypatch.setattr("time.monotonic", lambda: next(clock))
     for i in (8, 9):
@@ -545,36 +456,56 @@ def test_the_last_frame_of_the_episode_before_is_forgotten(monkeypatch):
 
 
 def test_real_time_chunking_guides_no_chunk():
-    policy = varied(n_obs_frames=None, horizon=4, rtc_config=RTCConfig(enabled=True))
+    policy = varied(horizon=4, rtc_config=RTCConfig(enabled=True))
     assert supports_rtc_inference(policy)
     alone = policy.predict_action_chunk(step(policy))
     policy.reset()
-    after = policy.predict_action_chunk(
-        step(policy), inference_delay=1, prev_chunk_left_over=torch.rand(2, 3, 18)
-    )
+    after = policy.predict_action_chunk(step(policy), prev_chunk_left_over=torch.rand(2, 3, 18))
     torch.testing.assert_close(after, alone, rtol=0, atol=0)
 
 
-def test_a_frozen_encoder_that_describes_more_than_a_sighting_learns_from_recorded_hands(hand_root):
-    policy = learner(
-        hand_root, encoder="conv", encoder_options={}, virtual_share=1.0, cache_images=False
-    )
-    loss, told = policy(LABELLED)
-    assert loss.isfinite()
-    assert "forecast" in told
+def test_a_chunk_that_is_late_follows_from_the_palm_as_it_will_be(monkeypatch):
+    """A hand that goes where it was told, and a chunk that is there two frames later."""
+    robot = Embodiment(palm_speed_m_s=0.5, capture="attach")
+    policy = varied(
+        horizon=6, encoder="eye", freeze_encoder=True, embodiment=robot, head="regression",
+        head_options={}
+    )  # fmt: skip
+    asked, condition = [], policy._actor.condition
+
+    def told(forecast, palm, state):
+        asked.append(palm)
+        return condition(forecast, palm, state)
+
+    monkeypatch.setattr(policy._actor, "condition", told)
+    batch, chunks, palms = step(policy), {}, []
+    for frame in range(7):
+        seen = batch | {"timestamp": torch.tensor([0.05 * frame])}
+        if frame % 2 == 0:  # an inference takes two frames, after which the next one begins
+            chunks[frame] = policy.predict_action_chunk(seen, 2)
+        else:
+            policy.observe(seen)
+        palms.append(batch["observation.state"][:, :3].clone())
+        begun = (frame - 2) // 2 * 2
+        if begun in chunks:
+            goal = chunks[begun][:, frame - begun, :3]
+            batch["observation.state"][:, :3] = stepped(palms[-1], goal, robot.step_m)
+    assert (chunks[0][:, 0] == chunks[0][:, 2]).all(), "what is past stands still"
+    torch.testing.assert_close(asked[2].float(), palms[6], atol=1e-5, rtol=0)
+    assert (palms[6] - palms[4]).norm(dim=-1).min() > robot.step_m
 
 
 def test_a_decision_tells_what_it_saw_expects_and_attends_to():
-    policy = varied(n_obs_frames=None)
-    assert policy.thought is None
+    policy = varied()
+    assert policy.decision is None
     for i in range(3):
         policy.select_action(step(policy, seed=i))
-    thought = policy.thought
-    assert thought.sighted.shape == (2, 1, 3)
-    assert thought.forecast.shape == (2, len(thought.ahead_s), 3)
-    assert thought.meeting.shape == (2, 3)
-    assert thought.weights.shape == (2, 4, 3), "of three frames observed, in four readouts"
-    torch.testing.assert_close(thought.weights.sum(-1), torch.ones(2, 4), check_dtype=False)
+    decision = policy.decision
+    assert decision.sighted.shape == (2, 1, 3)
+    assert decision.forecast.shape == (2, len(decision.ahead_s), 3)
+    assert decision.intercept.shape == (2, 3)
+    assert decision.attention.shape == (2, 4, 3), "of three frames observed, in four readouts"
+    torch.testing.assert_close(decision.attention.sum(-1), torch.ones(2, 4), check_dtype=False)
 
 
 def test_another_number_of_environments_needs_a_reset():
@@ -616,7 +547,7 @@ def test_lerobot_s_policy_server_serves_it(tmp_path: Path):
     [
         ("encoder", "camera", "eye, conv"),
         ("head", "arm", "diffusion, flow, regression, gr00t"),
-        ("n_obs_frames", -1, "0 to 200"),
+        ("n_obs_steps", 0, "1 or more"),
         ("relative_dims", 19, "0 to 18"),
         ("n_action_steps", 9, "1 to 4"),
         ("head_options", {"n_steps": 10**6}, "1 to 100"),
@@ -632,20 +563,18 @@ ALONE = """if True:
     import sys
     sys.modules["dynahoi_lerobot"] = None  # whoever imports it fails
     import torch
-    from lerobot.datasets import LeRobotDataset
+    from lerobot.datasets import LeRobotDatasetMetadata
     from lerobot_policy_obact import ObActPolicy
     checkpoint, root, out = sys.argv[1:]
     policy, seen = ObActPolicy.from_pretrained(checkpoint), torch.load(f"{out}/seen.pt")
     torch.save(torch.stack([policy.select_action(batch) for batch in seen]), f"{out}/actions.pt")
-    training = {"teacher", "decisions", "recordings", "virtual_episodes"}
+    training = {"teacher", "losses", "windows", "dataset"}
     ours = [name for name in sys.modules if name.startswith("lerobot_policy_obact")]
     assert not training & {name.split(".")[-1] for name in ours}
-    import lerobot_policy_obact.virtual_episodes
-    lerobot_policy_obact.virtual_episodes.POOL = 1
-    meta = LeRobotDataset("local/tiny", root=root).meta
+    meta = LeRobotDatasetMetadata("local/tiny", root=root)
     given = {"dataset_stats": meta.stats, "dataset_meta": meta, "load_pretrained": False}
     policy = ObActPolicy(policy.config, **given).train()
-    loss, told = policy({"episode_index": torch.arange(4), "action": torch.zeros(4, 4, 18)})
+    loss, told = policy(torch.load(f"{out}/batch.pt"))
     loss.backward()
     assert {"forecast", "action", "closed_loop"} <= set(told)
     assert policy.select_action(seen[0]).isfinite().all()
@@ -653,25 +582,35 @@ ALONE = """if True:
 
 
 def test_another_process_without_the_core_acts_the_same_and_trains(hand_root: Path, tmp_path: Path):
-    """What labels episodes is imported for training alone, and nothing of the core at all."""
-    policy = varied(
-        **RECORDED | {"cache_images": False, "virtual_share": 1.0, "episodes_per_sample": 1}
-    )
+    """What labels decisions is imported for training alone, and nothing of the core at all."""
+    policy = learner(hand_root, n_action_steps=1).eval()
     policy.save_pretrained(tmp_path / "checkpoint")
     seen = [step(policy, n=2, seed=i) for i in range(3)]
     torch.save(seen, tmp_path / "seen.pt")
+    torch.save(batch_of(policy, hand_root), tmp_path / "batch.pt")
     python("-c", ALONE, tmp_path / "checkpoint", hand_root, tmp_path)
     actions = torch.stack([policy.select_action(batch) for batch in seen])
     torch.testing.assert_close(torch.load(tmp_path / "actions.pt"), actions, atol=1e-4, rtol=0)
 
 
 def test_what_learned_from_the_targets_path_is_not_trained_where_there_is_none(
-    hand_root: Path, tmp_path: Path, monkeypatch
+    hand_root: Path, monkeypatch
 ):
     config = learner(hand_root).config
     config.pretrained_path = Path("ours")
-    monkeypatch.setattr(recordings, "describe", lambda meta, cameras: Rig(fps=20.0))
+    monkeypatch.setattr(dataset, "embodiment_of", lambda meta, cameras: Embodiment())
+    meta = LeRobotDatasetMetadata("local/other", root=hand_root)
     with pytest.raises(
         ValueError, match="ours learned from the target's path, which local/other lacks"
     ):
-        ObActPolicy(config, dataset_meta=SimpleNamespace(repo_id="local/other", root=tmp_path))
+        ObActPolicy(config, dataset_meta=meta)
+
+
+def test_where_lerobot_has_merged_only_actions_are_learned(hand_root: Path, tmp_path: Path, caplog):
+    root = tmp_path / "merged"
+    sources = [LeRobotDataset("local/x", root=hand_root), LeRobotDataset("local/y", root=hand_root)]
+    merge_datasets(sources, "local/merged", root)
+    meta = LeRobotDatasetMetadata("local/merged", root=root)
+    found = dataset.embodiment_of(meta, ["observation.images.ego"])
+    assert found.capture == ""
+    assert "only actions are learned" in caplog.text

@@ -5,16 +5,14 @@ the data.
 import numpy as np
 import pytest
 import torch
-from lerobot_policy_obact.belief import stepped
-from lerobot_policy_obact.recordings import RADIUS_M as RADIUS_BY_RULE
+from lerobot_policy_obact.dataset import RADIUS_M as RADIUS_BY_RULE
+from lerobot_policy_obact.frames import stepped
 from lerobot_policy_obact.teacher import (
     CLOSED_FRAMES,
     CLOSING_FRAMES,
-    NEVER,
     PLANNED_SPEED,
     SLACK,
     Answers,
-    Grip,
     Targets,
     Teacher,
     passing_distance,
@@ -27,7 +25,7 @@ STEP_M, RADIUS_M = 0.025, 0.03
 
 def targets_on(path: torch.Tensor) -> Targets:
     length = torch.full((len(path),), path.shape[1])
-    return Targets(path, length, length, path, torch.full_like(length, NEVER))
+    return Targets(path, length, length)
 
 
 def answers(
@@ -150,15 +148,3 @@ def test_without_slack_it_agrees_with_the_expert(late: int, monkeypatch: pytest.
         )
         missed = arrival == len(spec.target_path_w) - due - 1
         assert missed or abs(int(told.frames) - arrival) <= 1  # single precision decides ties
-
-
-def test_a_palm_that_passes_its_target_meets_it_but_does_not_grip_it():
-    """The fingers need time to close, so what counts is how long the target stays in its seat."""
-    hand = (20.0, STEP_M, torch.zeros(15), torch.ones(15), RADIUS_M)
-    frames = torch.arange(-5, 6)[:, None]
-    passes = frames * torch.tensor([0.0, 0.04, 0.0])
-    meet, grip = Teacher(*hand), Grip(*hand)
-    stays = (frames.abs() > 2) * torch.tensor([0.0, 0.2, 0.0])
-    assert float(meet.misses(passes[None]).min()) < 0.001
-    assert float(grip.misses((passes - grip.seat)[None]).min()) == pytest.approx(0.04, abs=1e-4)
-    assert float(grip.misses((stays - grip.seat)[None]).min()) < 0.001

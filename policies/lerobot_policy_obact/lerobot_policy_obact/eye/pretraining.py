@@ -1,6 +1,4 @@
-"""Training of ObAct's eye on images of random configurations, for `dynahoi pretrain`; imports torch
-and ObAct.
-"""
+"""Pretraining of the eye on images of random configurations, which `dynahoi pretrain` runs."""
 
 import json
 import math
@@ -16,8 +14,6 @@ from typing import Any
 import draccus
 import torch
 from einops import rearrange
-from lerobot_policy_obact.camera import Pinhole
-from lerobot_policy_obact.encoders import Eye
 from safetensors.torch import save_file
 from torch import Tensor
 from torch.utils.data import DataLoader, IterableDataset, get_worker_info
@@ -28,6 +24,9 @@ from dynahoi_lerobot.core.reading import read_text, reading, regular
 from dynahoi_lerobot.core.working_folder import working_folder
 from dynahoi_lerobot.pretrain.recipe import PretrainRecipe
 from dynahoi_lerobot.pretrain.snapshots import ImageStream, calibration
+
+from ..camera import Pinhole
+from ..encoders import Eye
 
 WEIGHTS, LOG, STATE = "eye.safetensors", "log.jsonl", "state.pt"
 STATE_TYPES = {

@@ -1,0 +1,115 @@
+"""``dynahoi encode``: copy a dataset with what an image sensor sees in its images instead of
+these.
+
+A frozen encoder says the same of an image whenever it is asked. So a policy that has one learns
+from columns ``observation.sightings.<view>`` of a few numbers a frame, windows of which LeRobot
+loads where it could not decode as many images.
+"""
+
+import json
+import shutil
+from collections.abc import Iterator
+from contextlib import redirect_stderr
+from dataclasses import dataclass, replace
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dynahoi_lerobot.core.arguments import argument, option
+from dynahoi_lerobot.core.features import EYE, IMAGE_PREFIX, OBSERVATION_PREFIX
+from dynahoi_lerobot.core.files import new_folder
+from dynahoi_lerobot.core.image_sensor import ImageSensor, image_sensor
+from dynahoi_lerobot.core.reading import reading
+from dynahoi_lerobot.dataset import paths
+from dynahoi_lerobot.dataset.manifest import ENCODED, Manifest, hash_files
+from dynahoi_lerobot.dataset.statistics import column_stats
+from dynahoi_lerobot.dataset.store import Store, open_dataset
+
+SIGHTINGS_PREFIX = OBSERVATION_PREFIX + "sightings."
+"""What the key of a column begins with that holds the sightings in a view."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Of ``dynahoi encode``."""
+
+    root: Path = argument("dataset folder; it is not changed")
+    out: Path = argument("folder of the new dataset, which must not exist")
+    sensor: str = option(EYE, "image sensor that an installed package brings")
+
+
+def run(options: Options) -> int:
+    """Encode the dataset, print what was done, and return the exit code."""
+    manifest = encode(options.root, options.out, options.sensor)
+    told = {"root": str(options.out), "episodes": manifest.episodes, "frames": manifest.frames}
+    print(json.dumps(told | {"sha256": manifest.digest}, indent=2))
+    return 0
+
+
+def encode(root: Path, output: Path, sensor: str = EYE) -> Manifest:
+    """Write a copy of a dataset with sightings instead of images; ``output`` appears when it is
+    complete.
+
+    Everything else that the dataset holds is kept, also what policies must not see.
+
+    Raises:
+        FileExistsError: if ``output`` exists.
+        FileNotFoundError: if ``root`` holds no dataset of this project.
+        ValueError: if there is no such sensor, or no view of the dataset that it knows.
+    """
+    from lerobot.datasets.dataset_tools import modify_features
+
+    if output.exists():
+        raise FileExistsError(f"{output} exists; choose a new folder")
+    store, views = Store(root), {}
+    manifest = Manifest.read(root)
+    for key in store.image_keys:
+        view = key.removeprefix(IMAGE_PREFIX)
+        views[view] = image_sensor(sensor)(view)
+    if not views:
+        raise ValueError(f"{root} has no images to encode")
+    dataset = open_dataset(root)
+    columns = dict(zip(views, _sightings(store, views), strict=True))
+    added: dict[str, Any] = {
+        SIGHTINGS_PREFIX + view: (
+            values,
+            {"dtype": "float32", "shape": [values.shape[1]], "names": [*views[view].names]},
+        )
+        for view, values in columns.items()
+    }
+    with new_folder(output) as folder:
+        with redirect_stderr(StringIO()):  # two bars of progress for seconds
+            modify_features(dataset, added, store.image_keys, folder, dataset.repo_id)
+        _copy_unknown(root / "meta", folder / "meta")
+        stats = json.loads((folder / paths.STATS_PATH).read_text())
+        for key, (values, _) in added.items():
+            found = column_stats(values)
+            stats[key] = {name: value.tolist() for name, value in found.items()}
+        paths.write_json(stats, folder / paths.STATS_PATH)
+        provenance = manifest.provenance | {ENCODED: {"sensor": sensor, "from": manifest.digest}}
+        signed = replace(manifest, provenance=provenance, files=hash_files(folder))
+        signed.write(folder)
+    return signed
+
+
+def _sightings(store: Store, views: dict[str, ImageSensor]) -> Iterator[np.ndarray]:
+    """Yield the sightings of all frames in each view, (N, D) float32."""
+    found: dict[str, list[np.ndarray]] = {view: [] for view in views}
+    with reading(store.root):
+        for stored in store.stored_episodes():
+            for view, sensor in views.items():
+                images = store.images(stored.row, stored.frames, IMAGE_PREFIX + view)
+                before = np.concatenate([images[:1], images[:-1]])
+                found[view].append(sensor.see(images, before))
+    return (np.concatenate(parts) for parts in found.values())
+
+
+def _copy_unknown(source: Path, target: Path) -> None:
+    """Copy the files that LeRobot knows nothing of, which its tools leave out."""
+    for path in sorted(source.rglob("*")):
+        copy = target / path.relative_to(source)
+        if path.is_file() and not copy.exists() and path.name != Path(paths.MANIFEST_PATH).name:
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(path, copy)

@@ -1,0 +1,186 @@
+"""What is learned in a window: where the target will be, what should be done, and to catch it.
+
+A decision is compared with the answer of a teacher that knows the future (`decision_losses`). But
+nothing in imitation tells a policy that a forecast which is wrong now will be less wrong in five
+frames. So from a frame on the palm alone is rolled out through the head, each command cut to what a
+palm does in a frame, and what counts is how near it comes to catching the target
+(`closed_loop_loss`). What is seen meanwhile stays what the hand saw that was there. Training only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from einops import rearrange, repeat
+from torch import Tensor
+
+from .configuration_obact import ObActConfig
+from .frames import Record, gather_frames, palm_of
+from .modeling_obact import FORECAST_FRAMES, Forecast, ObActModel
+from .teacher import Teacher
+from .windows import Window, rolled_out
+
+UNREACHABLE_WEIGHT = 0.1  # weight of what should be done about a target that is out of reach
+MISSED_WEIGHT = 10.0
+"""Weight in the loss of the distance from the place that attention picks from the forecast to the
+right one [1/m]."""
+FORECAST_M, FORECAST_M_S = 0.05, 0.3
+"""Errors of the forecast count in units of this much, and so much more for every second ahead: what
+lies farther ahead can be known less well."""
+INTERCEPT_WEIGHT = 10.0  # weight of the error of the forecast near the intercept [1/m]
+INTERCEPT_SPREAD = 0.25  # times are near an intercept within this share of the time left until then
+RIM, SOFTNESS = 0.9, 0.27
+"""The closed loop's loss is a smooth step at this share of the radius within which a target is
+caught, so wide in radii; a palm at the rim itself counts for 0.6."""
+FAR_M, FAR_WEIGHT, FARTHEST = 0.1, 0.3, 2.0
+"""And a part of the distance, in this unit, at most so many, which leads palms that are far off."""
+LEAST_ROLLED = 4  # decisions through which a palm is rolled out, at least
+
+
+def window_losses(model: ObActModel, window: Window, teacher: Teacher | None) -> dict[str, Tensor]:
+    """Return the losses of windows, ``(B,)`` each; without a teacher that of the recorded actions
+    alone.
+    """
+    config, n = model.config, window.recorded.shape[1]
+    now = torch.full_like(window.begin, config.n_obs_steps - 1)[:, None]
+    if teacher is None or window.targets is None:
+        palm = window.frames.palm[:, now[0]]
+        state = gather_frames(window.frames.state, now)
+        decisions = Decisions(
+            palm[:, :, None],
+            state[:, :, None],
+            window.actions[:, None, None],
+            window.action_weight[:, None, None],
+        )
+        return decision_losses(model, model.encode_history(window.frames, now), decisions)
+    late, targets = config.embodiment.delay_frames, window.targets
+    last = torch.minimum(targets.free, targets.length - 2).clamp_max(n) - 1 - late
+    spread = torch.rand(len(now), config.n_decisions, device=now.device)
+    rows = now + (spread * (last[:, None] - now + 1).clamp_min(0)).long()
+    first = window.begin[:, None].clamp(min=now).clamp_max(n - 1 - LEAST_ROLLED)
+    rolled = first + torch.arange(config.n_future_steps, device=now.device)
+    rolled = rolled.clamp_max(n - 1)
+    seen = torch.cat([rows, rolled], dim=1) if config.n_future_steps else rows
+    forecast = model.encode_history(window.frames, seen)
+    decisions = decisions_at(window, rows, teacher, config)
+    losses = decision_losses(model, forecast[:, : config.n_decisions], decisions)
+    if config.n_future_steps and config.closed_loop_weight:
+        rolled_forecast = forecast[:, config.n_decisions :]
+        losses["closed_loop"] = closed_loop_loss(model, rolled_forecast, window, rolled, teacher)
+    return losses
+
+
+# -- decisions -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Future(Record):
+    """Where the target will be at the K times of a forecast."""
+
+    place: Tensor  # there [m], (B, Q, K, 3)
+    known: Tensor  # which of those are known, (B, Q, K)
+    near: Tensor  # weight of each time by how near it is to the intercept, (B, Q, K)
+
+    def loss(self, forecast: Tensor, ahead_s: Tensor) -> Tensor:
+        """Return the loss of forecasts ``(B, Q, K, 3)`` [m] by window, ``(B,)``."""
+        error = ((forecast - self.place).square().sum(-1) + 1e-8).sqrt() * self.known
+        anywhere = (error / (FORECAST_M + FORECAST_M_S * ahead_s)).mean((1, 2))
+        return anywhere + INTERCEPT_WEIGHT * (error * self.near).sum(-1).mean(1)
+
+
+@dataclass(frozen=True)
+class Decisions(Record):
+    """What Q decisions in each of B windows should have been, from each of M palms."""
+
+    palm: Tensor  # where the palm is when the command takes effect [m], (B, Q, M, 3)
+    state: Tensor  # of the robot, (B, Q, M, S)
+    actions: Tensor  # the right ones, (B, Q, M, H, A)
+    weight: Tensor  # of each, 0 for padding, (B, Q, M, H)
+    future: Future | None = None  # where the target will be; None if nobody knows
+
+
+def decisions_at(window: Window, rows: Tensor, teacher: Teacher, config: ObActConfig) -> Decisions:
+    """Return the teacher's answers to decisions at ``rows`` ``(B, Q)``, for several palms."""
+    targets, late = window.targets, config.embodiment.delay_frames
+    assert targets is not None
+    last = window.recorded.shape[1] - 1
+    palm = gather_frames(window.frames.palm, (rows + late).clamp_max(last))
+    due = torch.minimum(rows + late, targets.length[:, None] - 2)
+    palms = teacher.palms(targets, due, palm)
+    answers = teacher.answer(targets, due, palms, config.horizon)
+    index = rows[..., None] + torch.tensor(FORECAST_FRAMES, device=rows.device)
+    weight = torch.where(answers.reachable, 1.0, UNREACHABLE_WEIGHT)
+    state = gather_frames(window.frames.state, rows)[:, :, None]
+    return Decisions(
+        palm=palms,
+        state=state.expand(-1, -1, palms.shape[2], -1),
+        actions=torch.cat([answers.goal, teacher.joints(answers.closing)], dim=-1),
+        weight=repeat(weight, "b q m -> b q m h", h=config.horizon),
+        future=Future(
+            place=targets.places(index),
+            known=index < targets.length[:, None, None],
+            near=_nearness(answers.frames + late, answers.reachable),
+        ),
+    )
+
+
+def _nearness(frames: Tensor, reachable: Tensor) -> Tensor:
+    """Return the weight of each time of the forecast for intercepts in ``frames`` ``(B, Q, M)``,
+    ``(B, Q, K)``.
+    """
+    times = torch.tensor(FORECAST_FRAMES, device=frames.device)
+    left = frames.clamp_max(FORECAST_FRAMES[-1]).float()[..., None]
+    weight = (1 - (times - left).abs() / (1 + INTERCEPT_SPREAD * left)).clamp_min(0)
+    return (weight / weight.sum(-1, keepdim=True).clamp_min(1e-6) * reachable[..., None]).mean(2)
+
+
+def decision_losses(
+    model: ObActModel, forecast: Forecast, decisions: Decisions
+) -> dict[str, Tensor]:
+    """Return the losses of forecast and action by window, ``(B,)`` each."""
+    losses, n, m = {}, len(forecast.features), decisions.palm.shape[2]
+    if decisions.future is not None:
+        losses["forecast"] = decisions.future.loss(forecast.places, model.forecaster.ahead_s)
+    palm, state, actions, weight = (
+        x.flatten(0, 2)
+        for x in (decisions.palm, decisions.state, decisions.actions, decisions.weight)
+    )
+    forecast = replace(forecast, attention=None).map(
+        lambda x: repeat(x, "b q ... -> (b q m) ...", m=m)
+    )
+    context, origin = model.condition(forecast, palm, state)
+    # (B * Q * M,)
+    loss = model.head.loss(context, model.normalise(actions, origin.detach()), weight)
+    losses["action"] = rearrange(loss, "(b n) -> b n", b=n).mean(1)
+    if decisions.future is not None:
+        # by the place that was picked
+        missed = ((palm_of(actions) - origin).square().sum(-1) + 1e-8).sqrt()
+        missed = rearrange((missed * weight).mean(-1), "(b n) -> b n", b=n)
+        losses["missed"] = MISSED_WEIGHT * missed.mean(1)
+    return losses
+
+
+# -- the closed loop -------------------------------------------------------------------------------
+
+
+def closed_loop_loss(
+    model: ObActModel, forecast: Forecast, window: Window, rows: Tensor, teacher: Teacher
+) -> Tensor:
+    """Return the loss of each window, ``(B,)``, for palms that are rolled out through decisions at
+    frames ``rows`` ``(B, R)``.
+    """
+    targets, late = window.targets, model.config.embodiment.delay_frames
+    assert targets is not None
+    n, device = window.recorded.shape[1], rows.device
+    due = rows[:, :1] + late + torch.arange(rows.shape[1] + 1, device=device)  # (B, R + 1)
+    known = (due[:, :-1] < targets.length[:, None] - 1) & (due[:, :-1] < n)
+    path = gather_frames(targets.path, due.clamp_max(targets.path.shape[1] - 1))
+    palm = gather_frames(window.frames.palm, due[:, :1].clamp_max(n - 1))
+    state = gather_frames(window.frames.state, rows[:, 0])
+    way = rolled_out(model, forecast, palm, state)
+    misses = teacher.misses(way - path)  # (B, R)
+    least = misses.masked_fill(~known, torch.inf).amin(1)
+    least = least.where(least.isfinite(), 0.0)
+    step = torch.sigmoid((least / teacher.radius_m - RIM) / SOFTNESS)
+    return (step + FAR_WEIGHT * (least / FAR_M).clamp_max(FARTHEST)) * known.any(1)

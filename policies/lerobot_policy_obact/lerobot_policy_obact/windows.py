@@ -1,0 +1,282 @@
+"""The windows that LeRobot delivers, and other hands in them.
+
+A sample of a training shows the frames around one of a recording. With the target's path, that
+recording also says what another hand would have seen:
+
+    transplant  the view of the true target from another palm, plus the error that the camera made
+                in that very frame, or in one that shows the target at nearly the same place
+    hands       other ways through the window: led by the policy itself, or along the recorded way,
+                or in pursuit of the target, and pushed off their way now and then
+
+A policy soon finds itself elsewhere than the hand that was recorded, so most windows show such
+hands. Training only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from .camera import Pinhole
+from .configuration_obact import ObActConfig
+from .frames import Frames, Record, gather_frames, palm_of, stepped
+from .modeling_obact import Forecast, ObActModel
+from .teacher import Targets, Teacher
+
+UNITS = (0.25, 0.25, 0.3)
+"""Differences in (u, v, log depth) that count as one when frames are compared. What is less than
+one apart looks alike to the eye: as large, and at about the same place in the image."""
+FARTHEST_VIEW = 2.0  # |u| and |v| are cut to this: how far out of view a target is does not matter
+IN_VIEW = 1.05  # greatest |u| and |v| of a target that is at least partly in view
+CANDIDATES = 256  # frames of the batch whose errors may be taken where the window has none alike
+DEPTH_POWER, DEPTH_RATIOS = 0.8, (0.5, 2.0)
+"""Errors of the log depth grow with this power of the distance, and are scaled within these ratios
+when they are taken from one distance to another: 8 % at 0.25 m and 22 % at 0.7 m were measured."""
+
+LED_SHARE = 0.7  # of the virtual hands, that the policy leads
+RECORDED_SHARE = 0.5  # of the others, that go the recorded way; the rest pursues the target
+LATER_SHARE = 0.4
+"""Of the virtual hands, whose targets are shown later on their path than they were recorded: no
+recording goes on after a miss."""
+LATER_M = 0.1  # standard deviation of their palms from the target, along each axis
+LATER_FRAMES = 4  # of a path that are still to come, at least, after such a window
+PUSHED_SHARE, PUSH_M, PUSH_POWER, CHANGE_SHARE = 0.5, 0.15, 1.5, 0.12
+"""Share of the virtual hands that are pushed off their way, the greatest standard deviation of the
+pushes along each axis, which is drawn as this power of a uniform number (small pushes are the more
+frequent), and the share of the frames in which they change."""
+
+
+@dataclass(frozen=True)
+class Window(Record):
+    """B windows of L frames; frames are counted from the window's first."""
+
+    frames: Frames
+    recorded: Tensor  # whether a frame was recorded, or LeRobot repeated one instead, (B, L)
+    actions: Tensor  # recorded from the current frame on, (B, H, A)
+    action_weight: Tensor  # of those, 0 for padding, (B, H)
+    begin: Tensor  # the frame in which the hand may move, (B,)
+    targets: Targets | None = None  # None if nothing is known of them
+
+    def repeated(self, n: int) -> Window:
+        """Return each window n times in succession."""
+        time_s = self.frames.time_s
+        found = self.map(lambda x: _repeated(x, n))
+        return replace(found, frames=replace(found.frames, time_s=time_s))
+
+
+def _repeated(x: Tensor | Record, n: int) -> Tensor | Record:
+    return x.map(lambda y: _repeated(y, n)) if isinstance(x, Record) else x.repeat_interleave(n, 0)
+
+
+class VirtualHands:
+    """Draws hands for windows with targets.
+
+    Args:
+        config: of the policy.
+        teacher: knows what a catch is.
+        model: leads hands, and knows the cameras.
+    """
+
+    def __init__(self, config: ObActConfig, teacher: Teacher, model: ObActModel) -> None:
+        self.config, self.teacher, self.model = config, teacher, model
+
+    @torch.no_grad()
+    def drawn(self, window: Window, virtual_share: float) -> Window:
+        """Return the windows with hands of which about ``virtual_share`` are virtual.
+
+        All windows that begin after the recorded catch have virtual hands, since nothing is decided
+        there any more.
+        """
+        targets, (b, n) = window.targets, window.recorded.shape
+        assert targets is not None
+        over, device = targets.free < self.config.n_obs_steps, window.begin.device
+        virtual = over | _chance(virtual_share, b, device)
+        later = virtual & (over | _chance(LATER_SHARE, b, device))
+        room = (targets.length - n - LATER_FRAMES).clamp_min(0)
+        shown = _shown_later(window, (room * torch.rand(b, device=device)).long() * later)
+        donors = Donors(window, self.model.forecaster.cameras)
+        shown = self._with_palm(shown, donors, self._ways(shown, donors, virtual, later))
+        assert shown.targets is not None
+        # on its own way a hand decides until the end: it may let the target go again
+        free = torch.where(virtual, shown.targets.length, targets.free)
+        return replace(shown, targets=replace(shown.targets, free=free))
+
+    def _ways(self, window: Window, donors: Donors, virtual: Tensor, later: Tensor) -> Tensor:
+        """Return the ways of the palms ``(B, L, 3)`` [m].
+
+        Virtual hands go along the recorded way or in pursuit; led ones follow what they would have
+        seen on such a way.
+        """
+        embodiment, (b, n) = self.config.embodiment, window.recorded.shape
+        recorded, begin, device = window.frames.palm, window.begin, window.begin.device
+        assert window.targets is not None
+        path, late = window.targets.path, embodiment.delay_frames
+        spread_m = PUSH_M * torch.rand(b, 1, device=device) ** PUSH_POWER
+        spread_m = spread_m * (virtual & _chance(PUSHED_SHARE, b, device))[:, None]
+        near = path[:, 0] + LATER_M * torch.randn(b, 3, device=device)
+        start = torch.where(later[:, None], near, recorded[:, 0])
+        moved = start + spread_m * torch.randn(b, 3, device=device)
+        start = torch.where((begin > 0)[:, None], recorded[:, 0], moved)
+        pushes = self._pushes(spread_m, begin, n)
+        follows = (_chance(RECORDED_SHARE, b, device) & ~later)[:, None]
+        way = [start]
+        for t in range(n - 1):
+            along = recorded[:, t + 1] + start - recorded[:, 0]
+            goal = torch.where(follows & donors.usable[:, t + 1, None], along, path[:, t + 1])
+            palm = stepped(way[-1], goal + pushes[:, t], embodiment.step_m)
+            way.append(torch.where((begin + late <= t)[:, None], palm, way[-1]))
+        ways = torch.where(virtual[:, None, None], torch.stack(way, dim=1), recorded)
+        frames = self._with_palm(window, donors, ways).frames
+        rows = torch.arange(n - 1 - late, device=device).expand(b, -1)
+        forecast = self.model.encode_history(frames, rows)
+        start, state = ways[:, : late + 1], frames.state[:, 0]
+        led = rolled_out(self.model, forecast, start, state, begin=begin, pushes=pushes)
+        is_led = virtual & _chance(LED_SHARE, b, device)
+        return torch.where(is_led[:, None, None], led, ways)
+
+    def _pushes(self, spread_m: Tensor, begin: Tensor, n: int) -> Tensor:
+        """Return by how much goals are off in n frames, ``(B, n, 3)`` [m]; that changes when a hand
+        begins to move, and now and then.
+        """
+        b, device, pushes = len(begin), begin.device, []
+        for t in range(n):
+            fresh = spread_m * torch.randn(b, 3, device=device)
+            changes = (_chance(CHANGE_SHARE, b, device) | (begin == t))[:, None]
+            pushes.append(torch.where(changes, fresh, pushes[-1]) if pushes else fresh)
+        return torch.stack(pushes, dim=1)
+
+    def _with_palm(self, window: Window, donors: Donors, palm: Tensor) -> Window:
+        """Return what hands would have seen whose palms are at ``(B, L, 3)`` [m]."""
+        assert window.targets is not None
+        frames, n = window.frames, palm.shape[1]
+        state = torch.cat([palm, frames.state[..., 3:]], dim=-1)
+        seen = donors.seen(window.targets.path[:, :n], palm)
+        return replace(window, frames=replace(frames, sightings=seen, state=state))
+
+
+def rolled_out(
+    model: ObActModel,
+    forecast: Forecast,
+    way: Tensor,
+    state: Tensor,
+    *,
+    begin: Tensor | None = None,
+    pushes: Tensor | None = None,
+) -> Tensor:
+    """Return the way ``(B, W + R, 3)`` [m] of palms that follow the head through R decisions.
+
+    Args:
+        model: whose head it is.
+        forecast: of the decisions, ``(B, R)``.
+        way: of the palm until the first of these takes effect [m], ``(B, W, 3)``.
+        state: of the robot, ``(B, S)``, of which a head that grips reads the joints.
+        begin: the decision from which on the palm moves, ``(B,)``; by default the first.
+        pushes: by which goals are off, ``(B, R', 3)`` [m], R' >= R.
+    """
+    ways, step_m = [*way.unbind(1)], model.config.embodiment.step_m
+    for r in range(forecast.features.shape[1]):
+        palm = ways[-1]
+        goal = palm_of(model.act_once(forecast[:, r], palm, state))
+        if pushes is not None:
+            goal = goal + pushes[:, r]
+        moved = stepped(palm, goal, step_m)
+        ways.append(moved if begin is None else torch.where((begin <= r)[:, None], moved, palm))
+    return torch.stack(ways, dim=1)
+
+
+class Donors:
+    """The recorded frames of windows, whose errors are taken to what other palms would have seen.
+
+    Args:
+        window: as recorded.
+        cameras: one for each sighting of a frame.
+    """
+
+    def __init__(self, window: Window, cameras: list[Pinhole]) -> None:
+        targets, recorded, n = window.targets, window.recorded, window.recorded.shape[1]
+        assert targets is not None
+        row = torch.arange(n, device=recorded.device)
+        usable = recorded & (row < targets.free[:, None])
+        # of a window after the catch, one frame must do
+        usable[:, 0] |= ~usable.any(1)
+        self.usable, self.cameras, self.seen_there = usable, cameras, window.frames.sightings
+        self.true_there = _views(cameras, targets.path[:, :n], window.frames.palm)
+        last = torch.where(usable, row, -1).amax(1, keepdim=True)
+        first = torch.where(usable, row, n).amin(1, keepdim=True)
+        # frames that were not recorded have the errors of those before, mirrored in time
+        self.own = torch.where(row > last, 2 * last - row, row).maximum(first)
+
+    def seen(self, place: Tensor, palm: Tensor) -> Tensor:
+        """Return sightings ``(B, L, C, 5)`` of targets at ``place`` from palms at ``palm``, ``(B,
+        L, 3)`` [m] both.
+        """
+        view = _views(self.cameras, place, palm)
+        found = [
+            self._with_errors(view[:, :, i], self.true_there[:, :, i], self.seen_there[:, :, i])
+            for i in range(len(self.cameras))
+        ]
+        return torch.stack(found, dim=2)
+
+    def _with_errors(self, view: Tensor, was: Tensor, seen: Tensor) -> Tensor:
+        """Return what one camera sees, ``(B, L, 5)``, whose true view is ``(B, L, 3)``."""
+        donor = self._nearest(view, was)
+        seen, was = seen.flatten(0, 1)[donor], was.flatten(0, 1)[donor]
+        error = seen[..., :3] - was
+        farther = ((view - was)[..., 2:] * DEPTH_POWER).exp().clamp(*DEPTH_RATIOS)
+        error = torch.cat([error[..., :2], error[..., 2:] * farther], dim=-1)
+        moved = torch.cat([view + error, seen[..., 3:]], dim=-1)
+        # a target out of view has no error: what was seen then was something else, and still is
+        return torch.where((was[..., :2].abs().amax(-1) < IN_VIEW)[..., None], moved, seen)
+
+    def _nearest(self, view: Tensor, was: Tensor) -> Tensor:
+        """Return of which frame of the batch to take the error, ``(B, L)``: the same one, else the
+        most similar one of the window, else that of some of the batch.
+        """
+        (b, n), now, then = self.usable.shape, _in_units(view), _in_units(was)
+        distance = torch.cdist(now, then).masked_fill(~self.usable[:, None], torch.inf)  # (B, L, L)
+        same, (least, best) = distance.gather(2, self.own[..., None])[..., 0], distance.min(-1)
+        donor = (
+            torch.where(same < 1, self.own, best) + n * torch.arange(b, device=view.device)[:, None]
+        )
+        lost = (same >= 1) & (least >= 1)
+        other = torch.randint(b * n, (int(lost.sum()), CANDIDATES), device=view.device)
+        apart = (then.flatten(0, 1)[other] - now[lost][:, None]).norm(dim=-1)
+        nearest, which = apart.masked_fill(~self.usable.flatten()[other], torch.inf).min(-1)
+        found = other.gather(1, which[:, None])[:, 0]
+        donor[lost] = torch.where(nearest < least[lost], found, donor[lost])
+        return donor
+
+
+def _views(cameras: list[Pinhole], place: Tensor, palm: Tensor) -> Tensor:
+    """Return ``(u, v, log depth)`` by camera, ``(B, L, C, 3)``, of places seen from palms ``(B, L,
+    3)`` [m].
+    """
+    return torch.stack([camera.seen(place - camera.origin(palm)) for camera in cameras], dim=2)
+
+
+def _in_units(view: Tensor) -> Tensor:
+    cut = view[..., :2].clamp(-FARTHEST_VIEW, FARTHEST_VIEW)
+    return torch.cat([cut, view[..., 2:]], dim=-1) / view.new_tensor(UNITS)
+
+
+def _shown_later(window: Window, frames: Tensor) -> Window:
+    """Return windows whose targets are so many ``frames`` ``(B,)`` further on their path."""
+    targets = window.targets
+    assert targets is not None
+    n = targets.path.shape[1]
+    index = torch.arange(n, device=frames.device) + frames[:, None]
+    path = gather_frames(targets.path, index.clamp_max(n - 1))
+    length = targets.length.clamp_max(n) - frames
+    later = replace(targets, path=path, length=length)
+    hidden, row = window.frames.hidden, torch.arange(window.recorded.shape[1], device=frames.device)
+    if hidden is not None:
+        hidden = row < (hidden.sum(1) - frames)[:, None]
+    seen = replace(window.frames, hidden=hidden)
+    return replace(window, frames=seen, begin=window.begin - frames, targets=later)
+
+
+def _chance(share: float, n: int, device: torch.device) -> Tensor:
+    """Return which of n are chosen, ``(n,)`` bool."""
+    return torch.rand(n, device=device) < share

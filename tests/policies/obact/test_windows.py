@@ -1,0 +1,270 @@
+"""Windows and the hands in them: what is seen from elsewhere, who leads, what is learned."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+import torch
+from lerobot_policy_obact import ObActConfig, ObActPolicy
+from lerobot_policy_obact.camera import Pinhole
+from lerobot_policy_obact.configuration_obact import Embodiment
+from lerobot_policy_obact.frames import Frames
+from lerobot_policy_obact.losses import closed_loop_loss, window_losses
+from lerobot_policy_obact.modeling_obact import FORECAST_FRAMES, Forecast, ObActModel
+from lerobot_policy_obact.teacher import LONGEST_FRAMES, Targets, Teacher
+from lerobot_policy_obact.windows import Donors, VirtualHands, Window
+from torch._subclasses.fake_tensor import FakeTensorMode
+from torch.nn.attention import SDPBackend, sdpa_kernel
+
+from tests.checkpoints import FEATURES
+
+PAST, FUTURE = 13, 24
+LENGTH = PAST + FUTURE
+LOOKS_ALONG_X = [-0.15, 0.03, 0.21, 0.5, 0.5, -0.5, -0.5]
+CALIBRATION = {"observation.images.ego": [*LOOKS_ALONG_X, 0.9, 1.0]}
+STEP_M = 0.025
+
+
+def camera() -> Pinhole:
+    return Pinhole.from_pose(LOOKS_ALONG_X, 0.9, carried=True)
+
+
+def teacher() -> Teacher:
+    return Teacher(20.0, STEP_M, torch.zeros(15), torch.ones(15), 0.03)
+
+
+def windows(b: int = 64, error: torch.Tensor | None = None, begin: int = 5) -> Window:
+    """Windows in which hands at rest watch targets pass in straight lines, all of them in view."""
+    generator = torch.Generator().manual_seed(0)
+    start = torch.tensor([0.4, 0.0, 0.0]) + 0.02 * torch.randn(b, 1, 3, generator=generator)
+    speed = 0.002 * torch.randn(b, 1, 3, generator=generator)
+    n = LENGTH + LONGEST_FRAMES
+    path = start + torch.arange(n)[:, None] * speed
+    full = torch.full((b,), n)
+    targets = Targets(path, full, full)
+    state = torch.zeros(b, LENGTH, 18)
+    view = camera().seen(path[:, :LENGTH])
+    view = view if error is None else view + error
+    sightings = torch.cat([view, torch.full((b, LENGTH, 2), -2.0)], dim=-1)[:, :, None]
+    hidden = torch.zeros(b, LENGTH, dtype=torch.bool)
+    frames = Frames(sightings, state, torch.arange(LENGTH) / 20.0, hidden)
+    actions, weight = torch.zeros(b, 8, 18), torch.ones(b, 8)
+    return Window(frames, ~hidden, actions, weight, torch.full((b,), begin), targets)
+
+
+def policy(**changes: object) -> ObActPolicy:
+    torch.manual_seed(0)
+    embodiment = Embodiment(calibration=CALIBRATION, palm_speed_m_s=0.5, capture="attach")
+    small = {"dim": 16, "n_heads": 2, "width": 32, "n_points": 4, "head_options": {"width": 16}}
+    options = {
+        "encoder": "eye",
+        "encoder_options": {"channels": 8},
+        "freeze_encoder": True,
+        "n_obs_steps": PAST,
+        "n_future_steps": FUTURE,
+        "embodiment": embodiment,
+    }
+    return ObActPolicy(ObActConfig(**small | options | FEATURES | changes))
+
+
+def hands(**changes: object) -> VirtualHands:
+    actor = policy(**changes)
+    return VirtualHands(actor.config, teacher(), actor.acting)
+
+
+# -- transplanted sightings ------------------------------------------------------------------------
+
+
+def test_from_the_recorded_palm_the_recorded_sightings_are_seen():
+    error = 0.05 * torch.randn(64, LENGTH, 3)
+    window = windows(error=error)
+    seen = Donors(window, [camera()]).seen(window.targets.path[:, :LENGTH], window.frames.palm)
+    torch.testing.assert_close(seen, window.frames.sightings, atol=1e-4, rtol=0)
+
+
+def test_from_another_palm_the_true_view_is_seen_with_the_error_of_the_same_frame():
+    error = torch.randn(64, 1, 3).expand(-1, LENGTH, -1) * 0.02
+    window = windows(error=error)
+    palm = window.frames.palm + torch.tensor([0.0, 0.02, -0.01])
+    path = window.targets.path[:, :LENGTH]
+    seen = Donors(window, [camera()]).seen(path, palm)[:, :, 0]
+    view = camera().seen(path - palm)
+    torch.testing.assert_close(seen[..., :2], (view + error)[..., :2], atol=1e-4, rtol=0)
+    assert (seen[..., 3:] == -2).all(), "and is as sure of it"
+
+
+def test_errors_of_the_depth_grow_with_the_distance():
+    error = torch.tensor([0.0, 0.0, 0.1]).expand(64, LENGTH, 3)
+    window = windows(error=error)
+    path = window.targets.path[:, :LENGTH]
+    far = window.frames.palm - torch.tensor([0.1, 0.0, 0.0])
+    seen = Donors(window, [camera()]).seen(path, far)[:, :, 0, 2]
+    found = seen - camera().seen(path - far)[..., 2]
+    assert (found > 0.1).all()
+    assert (found < 0.2).all()
+
+
+def test_what_was_seen_of_nothing_is_seen_again_where_the_target_is_out_of_view():
+    window = windows()
+    behind = replace(window.targets, path=window.targets.path - torch.tensor([2.0, 0.0, 0.0]))
+    nothing = torch.full_like(window.frames.sightings, 0.3)
+    window = replace(window, targets=behind, frames=replace(window.frames, sightings=nothing))
+    palm = window.frames.palm + 0.1 * torch.randn(64, 1, 3)
+    seen = Donors(window, [camera()]).seen(behind.path[:, :LENGTH], palm)
+    assert (seen == 0.3).all()
+
+
+def test_frames_after_the_catch_lend_no_errors():
+    error = torch.zeros(64, LENGTH, 3)
+    error[:, 20:] = 5.0  # what the eye makes of a target in the hand
+    window = windows(error=error)
+    window = replace(window, targets=replace(window.targets, free=torch.full((64,), 20)))
+    path = window.targets.path[:, :LENGTH]
+    seen = Donors(window, [camera()]).seen(path, window.frames.palm)[:, :, 0, :3]
+    torch.testing.assert_close(seen, camera().seen(path), atol=1e-3, rtol=0)
+
+
+# -- hands -----------------------------------------------------------------------------------------
+
+
+def test_recorded_hands_are_shown_as_they_were():
+    window = windows(begin=PAST + 3)
+    shown = hands().drawn(window, 0.0)
+    torch.testing.assert_close(shown.frames.state, window.frames.state)
+    torch.testing.assert_close(shown.frames.sightings, window.frames.sightings, atol=1e-4, rtol=0)
+
+
+def test_virtual_hands_wait_until_they_may_move_and_go_no_faster_than_they_can():
+    shown = hands().drawn(windows(begin=20), 1.0)
+    steps = shown.frames.palm.diff(dim=1).norm(dim=-1)
+    waits = torch.arange(LENGTH - 1) < shown.begin[:, None]
+    assert steps.max() <= STEP_M + 1e-5
+    assert (steps[waits] == 0).all()
+    assert (steps[~waits] > 0).float().mean() > 0.9
+
+
+def test_after_the_recorded_catch_all_hands_are_virtual():
+    window = windows()
+    window = replace(window, targets=replace(window.targets, free=torch.full((64,), PAST - 1)))
+    shown = hands().drawn(window, 0.0)
+    assert (shown.targets.free > LENGTH).all()
+    assert (shown.frames.palm[:, -1] != window.frames.palm[:, -1]).any(-1).all()
+
+
+def test_what_is_shown_later_on_a_path_was_never_hidden():
+    window = windows()
+    early = torch.arange(LENGTH).expand(64, LENGTH) < 10
+    window = replace(
+        window,
+        recorded=~early,
+        begin=window.begin + 10,
+        frames=replace(window.frames, hidden=early),
+    )
+    shown = hands().drawn(window, 1.0)
+    later = window.begin - shown.begin
+    assert (later > 0).any()
+    assert (shown.frames.hidden.sum(1) == (10 - later).clamp_min(0)).all()
+
+
+def test_a_hand_that_the_policy_leads_follows_its_head(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("lerobot_policy_obact.windows.LED_SHARE", 1.0)
+    monkeypatch.setattr("lerobot_policy_obact.windows.PUSHED_SHARE", 0.0)
+    corner, leader = torch.tensor([5.0, -5.0, 5.0]), hands()
+    goal = torch.cat([corner, torch.zeros(15)])
+    monkeypatch.setattr(leader.model, "act_once", lambda f, palm, state: goal.expand(len(palm), 18))
+    palm = leader.drawn(windows(begin=0), 1.0).frames.palm
+    way = (palm[:, 1:] - palm[:, :-1]) / STEP_M
+    wanted = torch.nn.functional.normalize(corner - palm[:, :-1], dim=-1)
+    torch.testing.assert_close(way, wanted, atol=1e-3, rtol=0)
+
+
+# -- losses ----------------------------------------------------------------------------------------
+
+
+def rolled_out(window: Window, head, first: int, late: int = 0) -> torch.Tensor:
+    """The loss of a head in windows whose palms are rolled out from frame ``first`` on."""
+    config = SimpleNamespace(embodiment=Embodiment(delay_frames=late, palm_speed_m_s=0.5))
+    model = SimpleNamespace(config=config, act_once=head)
+    b, rows = len(window.begin), torch.arange(first, first + FUTURE - late)
+    places = torch.zeros(b, len(rows), len(FORECAST_FRAMES), 3)
+    forecast = Forecast(torch.zeros(b, len(rows), 1), places)
+    return closed_loop_loss(model, forecast, window, rows.expand(b, -1), teacher()).sum()
+
+
+@pytest.mark.parametrize("late", [0, 3])
+def test_a_palm_is_rolled_out_from_when_the_first_command_takes_effect(late: int):
+    """The palm is near the target in that frame alone, and stays where it is."""
+    window = windows(1)
+    path = torch.arange(200)[None, :, None] * torch.tensor([0.04, 0.0, 0.0])
+    full = torch.tensor([200])
+    state = torch.full((1, LENGTH, 18), 9.0)
+    state[:, 10 + late, :3] = path[:, 10 + late]
+    window = replace(
+        window,
+        targets=Targets(path, full, full),
+        frames=replace(window.frames, state=state),
+    )
+    still = lambda forecast, palm, state: palm  # noqa: E731
+    assert rolled_out(window, still, 10, late=late) < 0.05
+    assert rolled_out(window, still, 11, late=late) > 1
+
+
+def test_the_closed_loop_loss_falls_where_the_head_learns_to_meet_the_target():
+    """A head that sends every palm to one place, and a target that waits 12 cm away."""
+    window, goal = windows(1), torch.zeros(3, requires_grad=True)
+    path = torch.tensor([0.1, 0.05, -0.05]).expand(1, 200, 3)
+    window = replace(window, targets=replace(window.targets, path=path))
+    head = lambda forecast, palm, state: torch.cat([goal.expand(1, 3), state[:, 3:]], dim=1)  # noqa: E731
+    optimizer, losses = torch.optim.Adam([goal], lr=0.02), []
+    for _ in range(60):
+        loss = rolled_out(window, head, PAST - 1)
+        optimizer.zero_grad()
+        loss.backward()
+        losses.append(loss.item())
+        optimizer.step()
+    assert losses[0] > 1.0
+    assert losses[-1] < 0.1
+
+
+def test_the_closed_loop_teaches_forecast_and_head():
+    pull = {}
+    for weight in (0.0, 4.0):
+        actor = policy(closed_loop_weight=weight)
+        losses = window_losses(actor.model, windows(), teacher())
+        assert ("closed_loop" in losses) == (weight > 0)
+        losses.get("closed_loop", losses["action"] * 0).sum().backward()
+        parts = actor.model.head.base, actor.model.when, actor.model.forecaster.bend[-1]
+        pull[weight] = [
+            0.0 if part.weight.grad is None else float(part.weight.grad.abs().max())
+            for part in parts
+        ]
+    assert max(pull[0.0]) == 0
+    assert min(pull[4.0]) > 1e-6
+
+
+def test_padded_actions_and_hidden_frames_do_not_count():
+    actor = policy(forecast_weight=0.0)
+    window = windows(4)
+    hidden = torch.arange(LENGTH).expand(4, LENGTH) < 6
+    padded = torch.ones(4, 8)
+    padded[:, 3:] = 0
+    window = replace(window, action_weight=padded, frames=replace(window.frames, hidden=hidden))
+    torch.manual_seed(0)
+    known = window_losses(actor.model, window, None)["action"]
+    other = window.frames.sightings.clone()
+    other[:, :6] = 9.0
+    actions = window.actions.clone()
+    actions[:, 3:] = 9.0
+    window = replace(window, actions=actions, frames=replace(window.frames, sightings=other))
+    torch.manual_seed(0)
+    torch.testing.assert_close(window_losses(actor.model, window, None)["action"], known)
+
+
+def test_a_training_step_mixes_no_devices():
+    """Fake tensors need no GPU, and refuse what one would refuse."""
+    config = policy().config
+    with FakeTensorMode(allow_non_fake_inputs=True), sdpa_kernel(SDPBackend.MATH):
+        with torch.device("cuda"):
+            model = ObActModel(config)
+        losses = window_losses(model, windows().to("cuda"), teacher())
+    assert {loss.device.type for loss in losses.values()} == {"cuda"}

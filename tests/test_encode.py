@@ -1,0 +1,105 @@
+"""``dynahoi encode``: columns of sightings instead of images, and everything else as it was."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from lerobot.datasets import LeRobotDataset
+
+from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.core.features import IMAGE_PREFIX
+from dynahoi_lerobot.core.image_sensor import image_sensor
+from dynahoi_lerobot.dataset import episode_column, frame_column, read_episodes
+from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
+from dynahoi_lerobot.dataset.store import Store
+from dynahoi_lerobot.encode import SIGHTINGS_PREFIX
+from tests.conftest import Once
+from tests.tools import flip_byte
+
+
+@pytest.fixture(scope="module")
+def encoded(dataset: Path, once: Once) -> Path:
+    def make(out: Path) -> Path:
+        assert main(["encode", str(dataset), str(out)]) == 0
+        return out
+
+    return once("encoded", make)
+
+
+def test_a_column_holds_what_the_sensor_sees_in_each_image_and_the_one_before(
+    dataset: Path, encoded: Path
+):
+    sensor, found = image_sensor("eye")("ego"), frame_column(encoded, SIGHTINGS_PREFIX + "ego")
+    first = 0
+    for episode in read_episodes(dataset, [0, 1]):
+        images = episode.images["ego"]
+        for frame in (0, 1, len(images) - 1):
+            before = images[max(frame - 1, 0)]
+            seen = sensor.see(images[frame][None], before[None])[0]
+            np.testing.assert_allclose(found[first + frame], seen, atol=1e-4)
+        first += len(images)
+
+
+def test_what_policies_must_not_see_is_read_back(dataset: Path, encoded: Path):
+    features = Store(dataset).privileged.features
+    assert "target_path" in [feature.key for feature in features]
+    for feature in features:
+        read = frame_column if feature.by_frame else episode_column
+        for before, after in zip(
+            read(dataset, feature.key), read(encoded, feature.key), strict=True
+        ):
+            np.testing.assert_array_equal(after, before)
+    for key in ("observation.state", "action", "target.pose"):
+        np.testing.assert_array_equal(frame_column(encoded, key), frame_column(dataset, key))
+
+
+def test_lerobot_reads_windows_of_it_and_no_images(encoded: Path):
+    key = SIGHTINGS_PREFIX + "ego"
+    found = LeRobotDataset("local/x", root=encoded, delta_timestamps={key: [-0.05, 0.0, 0.05]})
+    sample = found[3]
+    assert sample[key].shape == (3, 5)
+    assert not [name for name in sample if name.startswith(IMAGE_PREFIX)]
+    assert set(found.meta.stats[key]) >= {"mean", "std", "q99"}
+
+
+def test_it_is_signed_anew(dataset: Path, encoded: Path):
+    before, after = Manifest.read(dataset), Manifest.read(encoded)
+    assert not list(file_problems(encoded, after))
+    assert after.provenance["encoded"] == {"sensor": "eye", "from": before.digest}
+    assert (after.seeds, after.benchmark) == (before.seeds, before.benchmark)
+
+
+def test_verify_checks_what_is_left_of_it(encoded: Path, tmp_path: Path, capsys):
+    assert main(["verify", str(encoded)]) == 0
+    assert "its images were encoded" in capsys.readouterr().out
+    root = shutil.copytree(encoded, tmp_path / "changed")
+    flip_byte(next(root.glob("data/*/*.parquet")))
+    assert main(["verify", str(root)]) == 1
+
+
+def test_files_that_lerobot_knows_nothing_of_are_kept(dataset: Path, tmp_path: Path):
+    root, out = shutil.copytree(dataset, tmp_path / "with"), tmp_path / "out"
+    (root / "meta/ours").mkdir()
+    (root / "meta/ours/notes.txt").write_text("kept")
+    assert main(["encode", str(root), str(out)]) == 0
+    assert (out / "meta/ours/notes.txt").read_text() == "kept"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--sensor", "ear"], "unknown image sensor 'ear'"),
+        ([], "choose a new folder"),
+    ],
+    ids=["sensor", "folder"],
+)
+def test_what_cannot_be_encoded_is_refused_in_a_sentence(
+    words: list[str], said: str, dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+):
+    out = tmp_path / "out"
+    if not words:
+        out.mkdir()
+    assert main(["encode", str(dataset), str(out), *words]) == 2
+    assert said in capsys.readouterr().err
+    assert not [*tmp_path.glob("out/*")]
