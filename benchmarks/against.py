@@ -17,6 +17,7 @@ import subprocess
 import sys
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 from support.measures import MEASURES, Settings
 from support.options import REPOSITORY, benchmark_parser, write_numbers
@@ -63,7 +64,7 @@ def main() -> None:
     write_numbers(args, tables=tables)
 
 
-def compare(name: str, args: argparse.Namespace) -> dict[str, dict[str, list[float]]]:
+def compare(name: str, args: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Measure both checkouts in turns; print and return the numbers of this one and the other, and
     their ratios.
     """
@@ -78,7 +79,7 @@ def compare(name: str, args: argparse.Namespace) -> dict[str, dict[str, list[flo
     for number in rounds[0]["this"]:
         row = {side: [one[side][number] for one in rounds] for side in ("this", "other")}
         row["ratio"] = [a / b for a, b in zip(row["this"], row["other"], strict=True)]
-        table[number] = row
+        table[number] = row | {"median_ratio": statistics.median(row["ratio"])}
         print(
             f"{name:17} {number:40} {statistics.median(row['this']):9.3f} "
             f"{statistics.median(row['other']):9.3f}   {_range(row['ratio'])}",
