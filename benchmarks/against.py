@@ -17,6 +17,7 @@ import subprocess
 import sys
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 from support.measures import MEASURES, Settings
 from support.options import REPOSITORY, benchmark_parser, write_numbers
@@ -29,6 +30,7 @@ SIZES: dict[str, int] = {
     field.name: field.default for field in fields(Settings) if isinstance(field.default, int)
 }
 TINY = {
+    "itself": True,
     "only": ["state_env"],
     "rounds": 1,
     "num_envs": 2,
@@ -44,7 +46,6 @@ def main() -> None:
         "checkout",
         type=Path,
         nargs="?",
-        default=argparse.SUPPRESS,
         help="the build to compare with; this one with --tiny",
     )
     parser.add_argument(
@@ -54,17 +55,16 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=2)
     for name, value in SIZES.items():
         parser.add_argument(f"--{name.replace('_', '-')}", type=int, default=value)
+    parser.set_defaults(itself=False)
     args = parser.parse_args()
-    if args.tiny:
-        args.checkout = REPOSITORY
-    if "checkout" not in args:
+    if not (args.checkout or args.itself):
         parser.error("name the CHECKOUT to compare with")
-    args.checkout = args.checkout.resolve()
+    args.checkout = (args.checkout or REPOSITORY).resolve()
     tables = {name: compare(name, args) for name in args.only}
     write_numbers(args, tables=tables)
 
 
-def compare(name: str, args: argparse.Namespace) -> dict[str, dict[str, list[float]]]:
+def compare(name: str, args: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Measure both checkouts in turns; print and return the numbers of this one and the other, and
     their ratios.
     """
@@ -79,7 +79,7 @@ def compare(name: str, args: argparse.Namespace) -> dict[str, dict[str, list[flo
     for number in rounds[0]["this"]:
         row = {side: [one[side][number] for one in rounds] for side in ("this", "other")}
         row["ratio"] = [a / b for a, b in zip(row["this"], row["other"], strict=True)]
-        table[number] = row
+        table[number] = row | {"median_ratio": statistics.median(row["ratio"])}
         print(
             f"{name:17} {number:40} {statistics.median(row['this']):9.3f} "
             f"{statistics.median(row['other']):9.3f}   {_range(row['ratio'])}",

@@ -199,7 +199,7 @@ def shadows(settings: Settings) -> Numbers:
 def _spent() -> tuple[float, float]:
     """Wall time since this program began, and processor time of it and its children [s]."""
     times = os.times()
-    own_s = times.user + times.system + times.children_user + times.children_system
+    own_s = time.process_time() + times.children_user + times.children_system
     return time.perf_counter() - BEGIN, own_s + sum(map(_process_s, _children(os.getpid())))
 
 
