@@ -1,7 +1,7 @@
 """Environment steps per second: the native vector env against gymnasium's over one plain env per
 world.
 
-python benchmarks/env.py [--num-envs 1 8 64] [--image-size 128] [--rounds 2] [--steps 80] [--json
+python benchmarks/env.py [--num-envs 1 8 64] [--image-size 128] [--rounds 2] [--steps 240] [--json
 FILE] [--tiny]
 
 Every number comes from a process of its own; rounds take turns (A B C, A B C), so that a busy
@@ -76,7 +76,11 @@ def main() -> None:
     )
     parser.add_argument("--rounds", type=int, default=2)
     parser.add_argument(
-        "--steps", type=int, default=80, help="least number of vector steps in a measurement"
+        "--steps",
+        type=int,
+        default=240,
+        help="least number of vector steps in a measurement, in which most worlds begin several "
+        "episodes",
     )
     parser.add_argument(
         "--env-steps", type=int, default=640, help="least number of steps of all envs together"

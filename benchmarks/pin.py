@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 from support.options import benchmark_parser, write_numbers
 
+from dynahoi_lerobot.core.agent import Expert, WorldView
 from dynahoi_lerobot.core.conventions import PALM_DOF
 from dynahoi_lerobot.core.spec import EpisodeSpec
-from dynahoi_lerobot.experts.base import SingleWorldExpert, WorldView
 from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.sampling.sampler import sample_specs, search
 from dynahoi_lerobot.world.batch import WorldBatch
 
 DIGESTS = Path(__file__).parents[1] / "tests" / "sampling" / "benchmark_digests.json"
@@ -45,7 +45,7 @@ Pinned = dict[str, Any]
 """``version`` and ``definition``; ``specs`` and ``images`` by split and seed."""
 
 
-class Closing(SingleWorldExpert):
+class Closing(Expert):
     """Moves forwards at 0.1 m/s and closes over 30 frames, whatever the target does; it changes
     with no expert.
     """
@@ -115,9 +115,11 @@ def pinned_seeds(split: str) -> range:
 
 
 def spec_digests(split: str, seeds: Sequence[int], *, threads: int = 0) -> dict[int, str]:
-    """Return a digest of all that each spec holds but its code, by seed."""
-    specs = sample_specs(Recipe(split=split), seeds, threads=threads)
-    return {spec.seed: spec_digest(spec) for spec in specs}
+    """Return a digest of all that each spec holds but its code, by seed; each is searched from its
+    first draw.
+    """
+    found = search(Recipe(split=split), seeds, threads=threads)
+    return {spec.seed: spec_digest(spec) for _, spec in found}
 
 
 def spec_digest(spec: EpisodeSpec) -> str:

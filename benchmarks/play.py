@@ -30,7 +30,6 @@ from support.options import benchmark_parser, write_numbers
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT, EGO_VIEW, PALM_DOF
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.numerics import quat_to_matrix
 from dynahoi_lerobot.evaluate.arguments import make_actor
 from dynahoi_lerobot.evaluate.gif import write_gif
 from dynahoi_lerobot.metrics import measure
@@ -39,7 +38,7 @@ from dynahoi_lerobot.play.live_world import LiveWorld
 from dynahoi_lerobot.play.server import PlayServer
 from dynahoi_lerobot.play.steering import POINTED_M
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.world.sensors import camera_pose, intrinsics
+from dynahoi_lerobot.scene.pinhole import Pinhole
 
 DEADBAND_M, CLOSED_RAD = 0.01, 0.1
 WIDTHS_PX = (390, 820, 1280)
@@ -185,14 +184,13 @@ async def follow_expert(tab: Tab, world: LiveWorld) -> None:
         "b.height])(document.getElementById('view').getBoundingClientRect())"
     )
     box = await tab.value(corners)
-    model, hand = world.batch.scene.model, world.batch.scene.hand
-    axes = quat_to_matrix(camera_pose(model, EGO_VIEW)[3:])
-    focal, _, centre, _ = intrinsics(model, EGO_VIEW, world.recipe.rules.image_size)
+    hand = world.batch.scene.hand
+    camera = Pinhole.of(world.batch.scene.model, EGO_VIEW)
     held: set[str] = set()
     while world.finished is None:
         goal = world.expert_goal()
-        right, up, back = axes.T @ (goal[:PALM_DOF] - world.batch.state[0, :PALM_DOF])
-        x, y = np.clip(np.array([right, up]) * focal / centre / POINTED_M, -1, 1)
+        right, up, back = camera.axes.T @ (goal[:PALM_DOF] - world.batch.state[0, :PALM_DOF])
+        x, y = np.clip(np.array([right, up]) / camera.half_view / POINTED_M, -1, 1)
         place = {"x": box[0] + (x + 1) / 2 * box[2], "y": box[1] + (1 - y) / 2 * box[3]}
         await tab.call("Input.dispatchMouseEvent", type="mouseMoved", **place)
         keys = {"KeyW"} if back < -DEADBAND_M else {"KeyS"} if back > DEADBAND_M else set()

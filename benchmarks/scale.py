@@ -22,6 +22,7 @@ from support.isolated import measure_apart
 from support.options import benchmark_parser, write_numbers
 
 from dynahoi_lerobot.dataset.merge import merge
+from dynahoi_lerobot.dataset.writer import MIB
 from dynahoi_lerobot.generate import executors
 from dynahoi_lerobot.generate.pipeline import finished, generate
 from dynahoi_lerobot.generate.plan import GenerationPlan, ShardMaker
@@ -36,7 +37,6 @@ TINY = {
     "workers": 1,
     "tasks": 2,
 }
-MIB = 2**20
 
 
 def made(

@@ -31,7 +31,7 @@ from dynahoi_lerobot.motions import Motion, PhysicalMotion
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
 from dynahoi_lerobot.scene.model import ENVIRONMENT, HAND_BIT
 
-CAPTURES: Registry[type[CaptureRule]] = Registry("capture rule", "dynahoi_lerobot.captures")
+CAPTURES: Registry[type[CaptureRule]] = Registry("capture rule")
 
 NO_EVENT = -1
 HELD_FRAMES = CONTROL_HZ // 2

@@ -188,13 +188,13 @@ def codecs() -> Iterator[Fact]:
     if importlib.util.find_spec("torchcodec") is None:
         yield Fact("torchcodec", "none", "LeRobot decodes with PyAV")
         return
-    found, follows = version("torchcodec"), "LeRobot decodes with torchcodec"
+    found, follows, works = version("torchcodec"), "LeRobot decodes with torchcodec", True
     try:
         importlib.import_module("torchcodec")
     except (ImportError, OSError, RuntimeError):
-        found += ", finds no FFmpeg libraries"
-        follows = "LeRobot decodes with PyAV, slower; install FFmpeg's libraries for torchcodec"
-    yield Fact("torchcodec", found, follows)
+        found, works = f"{found}, finds no FFmpeg libraries", False
+        follows = "LeRobot prints a traceback and decodes with PyAV; install FFmpeg's libraries"
+    yield Fact("torchcodec", found, follows, problem=not works)
 
 
 OURS = ("dynahoi_lerobot", "lerobot_env_dynahoi", "lerobot_policy_obact")
@@ -210,17 +210,26 @@ def versions() -> Iterator[Fact]:
     problem.
     """
     yield Fact("Python", platform.python_version())
-    for name in (*OURS, "mujoco", "mujoco-warp", "warp-lang", "gymnasium", "numpy", *OPTIONAL):
+    unmet = unmet_requirements()
+    core = ("mujoco", "mujoco-warp", "warp-lang", "gymnasium", "numpy")
+    for name in dict.fromkeys(("dynahoi_lerobot", *core, *OPTIONAL, *unmet)):
         found = installed_version(name)
-        yield Fact(name, found or "none", "" if found else OPTIONAL.get(name, ""))
+        remedy = unmet.get(name) or ("" if found else OPTIONAL.get(name, ""))
+        yield Fact(name, found or "none", remedy, problem=name in unmet)
+
+
+def unmet_requirements() -> dict[str, str]:
+    """Return, by distribution, what installs a version that our distributions require."""
+    unmet = {}
     for distribution in filter(installed_version, OURS):
         for wanted in map(Requirement, requires(distribution) or ()):
             if wanted.marker is not None and not wanted.marker.evaluate():
                 continue
             found = installed_version(wanted.name)
             if found is None or not wanted.specifier.contains(found, prereleases=True):
-                follows = f"{distribution} needs {wanted}: pip install {str(wanted)!r}"
-                yield Fact(wanted.name, found or "none", follows, problem=True)
+                remedy = f"{distribution} needs {wanted}: pip install {str(wanted)!r}"
+                unmet[wanted.name] = remedy
+    return unmet
 
 
 LEROBOT_PREFIXES = (

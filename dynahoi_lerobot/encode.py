@@ -98,9 +98,9 @@ def _sightings(store: Store, views: dict[str, ImageSensor]) -> Iterator[np.ndarr
     """Yield the sightings of all frames in each view, (N, D) float32."""
     found: dict[str, list[np.ndarray]] = {view: [] for view in views}
     with reading(store.root):
-        for row, table in store.stored_episodes():
+        for stored in store.stored_episodes():
             for view, sensor in views.items():
-                images = store.images(row, table, IMAGE_PREFIX + view)
+                images = store.images(stored.row, stored.frames, IMAGE_PREFIX + view)
                 before = np.concatenate([images[:1], images[:-1]])
                 found[view].append(sensor.see(images, before))
     return (np.concatenate(parts) for parts in found.values())

@@ -1,5 +1,7 @@
 """Checkpoints for tests: what ships, and tiny policies with random weights."""
 
+import json
+import shutil
 from pathlib import Path
 
 import torch
@@ -112,3 +114,43 @@ def tiny_obact(folder: Path) -> Path:
     }
     small |= {"n_obs_steps": 6, "n_action_steps": 4}
     return saved(ObActConfig(**small, **FEATURES), folder)
+
+
+def tiny_adapter(base: Path, folder: Path, named: str | None = None) -> Path:
+    """Write a LoRA adapter with random weights for the checkpoint ``base``, which it calls
+    ``named``.
+    """
+    config = PreTrainedConfig.from_pretrained(str(base))
+    config.pretrained_path = Path(named or base)
+    policy = get_policy_class(config.type).from_pretrained(str(base), config=config)
+    adapted = policy.wrap_with_peft(peft_cli_overrides={"method_type": "LORA", "r": 2})
+    torch.manual_seed(0)
+    for name, weight in adapted.named_parameters():
+        if "lora_" in name:
+            weight.data = 0.1 * torch.randn_like(weight)
+    adapted.save_pretrained(str(folder))
+    adapted.config.save_pretrained(folder)
+    for file in base.glob("policy_*"):
+        shutil.copy(file, folder)
+    return folder
+
+
+RENAMES = {
+    f"observation.images.{view}": f"observation.images.camera{number}"
+    for number, view in enumerate(("ego", "side"), start=1)
+}
+"""The rename map of ``renamed_act``."""
+
+
+def renamed_act(folder: Path) -> Path:
+    """Write an ACT that knows the cameras by other names, as LeRobot's ``--rename_map`` trains."""
+    camera = PolicyFeature(FeatureType.VISUAL, (3, 32, 32))
+    inputs = dict.fromkeys(RENAMES.values(), camera)
+    tiny_act(
+        folder, inputs | {"observation.state": FEATURES["input_features"]["observation.state"]}
+    )
+    file = folder / "policy_preprocessor.json"
+    told = json.loads(file.read_text())
+    told["steps"][0]["config"]["rename_map"] = RENAMES
+    file.write_text(json.dumps(told))
+    return folder

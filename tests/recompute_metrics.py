@@ -9,6 +9,7 @@ can read the dataset::
 """
 
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -32,24 +33,33 @@ def metrics(root: Path) -> pd.DataFrame:
     S_gra is NaN where the target was never localised, and under the capture rule contact. E_loc
     and E_gra are in u (0.1 m).
     """
-    episodes = _table(root / "meta" / "episodes").set_index("episode_index")
-    frames = (
-        _table(root / "data").sort_values(["episode_index", "frame_index"]).groupby("episode_index")
-    )
-    rows = {index: _metrics(episodes.loc[index], frame) for index, frame in frames}
+    rows = {
+        episode["episode_index"]: _metrics(episode, frames) for episode, frames in episodes_of(root)
+    }
     return pd.DataFrame.from_dict(rows, orient="index")
+
+
+def episodes_of(root: Path) -> Iterator[tuple[pd.Series, pd.DataFrame]]:
+    """Yield each episode's facts and constants, and its frames with their privileged columns."""
+    keys = ["episode_index", "frame_index"]
+    episodes = _table(root / "meta/episodes").merge(
+        _table(root / "meta/privileged_episodes"), on=keys[:1]
+    )
+    frames = _table(root / "data").merge(_table(root / "meta/privileged"), on=keys)
+    for index, rows in frames.sort_values(keys).groupby(keys[0]):
+        yield episodes.set_index(keys[0], drop=False).loc[index], rows
 
 
 def fingertip_distance(episode: pd.Series, frames: pd.DataFrame) -> np.ndarray:
     """Return (T,) the least distance of a fingertip to the object's surface [m], 0 inside, from
     poses and solids.
     """
-    tips = np.reshape(episode["stats/fingertips"], (len(frames), 5, 6))[..., :3].astype(float)
-    pose = np.reshape(episode["stats/target.pose"], (len(frames), 7)).astype(float)
+    tips = np.stack(frames["fingertips"]).reshape(-1, 5, 6)[..., :3].astype(float)
+    pose = np.stack(frames["target.pose"]).astype(float)
     local = np.einsum(
         "tij,tfi->tfj", _rotation(pose[:, 3:]), tips - pose[:, None, :3]
     )  # object's frame
-    solids = np.reshape(episode["stats/object_primitives"], (-1, 11)).astype(float)
+    solids = np.stack(episode["object_primitives"]).astype(float)
     return np.maximum(np.min([_surface(local, solid) for solid in solids], axis=0).min(axis=1), 0.0)
 
 
@@ -61,9 +71,7 @@ def _table(folder: Path) -> pd.DataFrame:
 
 def _metrics(episode: pd.Series, frames: pd.DataFrame) -> dict[str, float]:
     start = int(episode["window_frames"])
-    palm_distance = np.asarray(
-        episode["stats/palm_distance"], float
-    )  # least of the step that ends at the frame
+    palm_distance = frames["palm_distance"].to_numpy(float)  # least of the step to the frame
     # the hand moves from frame `start` on
     inside = np.flatnonzero(palm_distance[start + 1 :] < RADIUS_M[episode["capture"]])
     first = start + 1 + int(inside[0]) if inside.size else None
@@ -74,7 +82,7 @@ def _metrics(episode: pd.Series, frames: pd.DataFrame) -> dict[str, float]:
         "S_loc": float(first is not None),
         "S_gra": float(_grasps(episode, state[first, 3:])) if judged else np.nan,
         "E_loc": palm_distance[start:].min() / UNIT_M,
-        "E_gra": np.asarray(episode["stats/fingertip_distance"], float)[start:].min() / UNIT_M,
+        "E_gra": frames["fingertip_distance"].to_numpy(float)[start:].min() / UNIT_M,
         "Q_smooth": smoothness(path),
         "Q_line": linearity(path),
         "R_time": 0.0
@@ -86,7 +94,7 @@ def _metrics(episode: pd.Series, frames: pd.DataFrame) -> dict[str, float]:
 def _grasps(episode: pd.Series, joints: np.ndarray) -> bool:
     """Whether all 15 joints have made 0.9 of the reference rotation, in its direction."""
     rest, reference = (
-        np.asarray(episode[f"stats/{name}_joints"], float) for name in ("open", "reference")
+        np.asarray(episode[f"{name}_joints"], float) for name in ("open", "reference")
     )
     turned, wanted = joints - rest, reference - rest
     return bool((turned * np.sign(wanted) >= GRASP_SHARE * np.abs(wanted) - 1e-6).all())

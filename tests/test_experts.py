@@ -127,7 +127,7 @@ def test_a_hand_that_follows_the_labels_loosely_is_closed_when_it_gets_there(
 
     class Loose(Intercept):
         def act(self, world: WorldState) -> np.ndarray:
-            labels = self.goals(world)
+            labels = self.label(world)
             return labels + np.pad(rng.normal(0.0, 0.015, (len(labels), 3)), ((0, 0), (0, 15)))
 
     episodes = list(evaluate(WorldBatch(Rules(image_size=0), 22, threads=1), Loose(), specs[:22]))

@@ -137,7 +137,7 @@ def test_policies_see_the_same_columns_and_the_camera_sees_past_it(robot: str) -
     )
     seen = []
     for one in (bundled, batch):
-        one.reset(range(11), sample_specs(one.recipe, range(11)))
+        one.reset(range(11), sample_specs(Recipe(rules=one.rules), range(11)))
         seen.append(np.isin(one.cameras.segmentation(), one.scene.target_geoms).any(axis=(1, 2)))
     assert (seen[1] >= seen[0]).mean() > 0.9
     shown = batch.cameras.segmentation()

@@ -14,10 +14,7 @@ import importlib.util
 
 import gymnasium as gym
 
-from dynahoi_lerobot.env import register_envs
-
-register_envs()
-env = gym.make_vec("dynahoi/planar-v0", num_envs=2, image_size=32)
+env = gym.make_vec("dynahoi_lerobot.env:dynahoi/planar-v0", num_envs=2, image_size=32)
 observation, _ = env.reset(seed=0)
 assert env.step(observation["agent_pos"])[0]["pixels"]["ego"].shape == (2, 32, 32, 3)
 assert importlib.util.find_spec("torch") is None, "the core must not bring torch"

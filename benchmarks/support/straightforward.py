@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 from gymnasium import spaces
 
+from dynahoi_lerobot.core.agent import WorldView
 from dynahoi_lerobot.core.conventions import (
     CONTROL_HZ,
     FINGER_DOF,
@@ -28,7 +29,6 @@ from dynahoi_lerobot.core.protocols import one_hot_phase
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.dataset.video import Encoding
 from dynahoi_lerobot.env.vector_env import observation_space
-from dynahoi_lerobot.experts.base import WorldView
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.rules import Rules
 from dynahoi_lerobot.sampling.recipe import Recipe

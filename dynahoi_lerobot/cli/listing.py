@@ -2,6 +2,8 @@
 
 import inspect
 import json
+import shutil
+import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -69,7 +71,7 @@ def _metrics() -> list[Row]:
             "name": name,
             "unit": metric.unit,
             "better": metric.direction,
-            "description": metric.doc.partition("\n")[0],
+            "description": metric.summary,
         }
         for name, metric in METRICS.items()
     ]
@@ -86,7 +88,7 @@ def _features() -> list[Row]:
 def _feature(feature: Feature, shape: str) -> Row:
     cases = [
         (feature.constant, "constant over the episode"),
-        (feature.in_episode_table, "in the episode table"),
+        (feature.privileged, f"in meta/privileged{'' if feature.by_frame else '_episodes'}"),
     ]
     cases += [(feature.per != "frame", f"a row per {feature.per}")]
     cases += [(feature.needs_contact_sensors, "only if the capture rule uses contact sensors")]
@@ -124,8 +126,32 @@ class Options:
 def run(options: Options) -> int:
     """Print a registry; return the exit code."""
     rows = LISTS[options.what]()
-    print(json.dumps(rows, indent=2) if options.json else markdown_table(rows))
+    width = shutil.get_terminal_size((100, 24)).columns
+    print(json.dumps(rows, indent=2) if options.json else fitted(rows, width))
     return 0
+
+
+INDENT = "    "
+
+
+def fitted(rows: list[Row], width: int) -> str:
+    """Return rows as a table, or, if that is wider than ``width`` characters, as paragraphs."""
+    table = markdown_table(rows)
+    if table.index("\n") <= width:
+        return table
+    name, *columns = rows[0]
+    sentences = [key for key in columns if max(len(str(row[key])) for row in rows) > SHORT]
+    lines = []
+    for row in rows:
+        words = [str(row[key]) for key in columns if key not in sentences and row[key]]
+        lines.append(f"{row[name]}: {', '.join(words)}" if words else str(row[name]))
+        for key in sentences:
+            lines += textwrap.wrap(row[key], width, initial_indent=INDENT, subsequent_indent=INDENT)
+    return "\n".join(lines)
+
+
+SHORT = 24
+"""Longest value [characters] of a column that stands beside the name; longer ones stand below."""
 
 
 def markdown_table(rows: list[Row]) -> str:

@@ -13,7 +13,8 @@ from typing import Any, NoReturn, TextIO, cast
 
 from dynahoi_lerobot import __version__
 from dynahoi_lerobot.core.arguments import CommandError, add_options, read_options
-from dynahoi_lerobot.core.escaping import Terminal
+from dynahoi_lerobot.core.caches import ensure_caches
+from dynahoi_lerobot.core.escaping import Terminal, shortened
 from dynahoi_lerobot.core.files import check_output
 
 COMMANDS = {
@@ -64,7 +65,6 @@ EXTRAS = {
     "datatrove": "scale",
     "ray": "scale",
     "openai": "vlm",
-    "pydantic": "vlm",
     "aiohttp": "play",
 }
 EXTRAS |= dict.fromkeys(("lerobot", "torch", "huggingface_hub", "httpx"), "lerobot")
@@ -107,6 +107,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         )  # removes what is half made
 
     def run() -> int:
+        ensure_caches()
         name = parser.parse_args(words[:1]).command
         command = importlib.import_module(COMMANDS[name][0])
         add_options(commands.choices[name], command.Options)
@@ -158,20 +159,11 @@ def _left_out_in_one_line(spoken: str) -> Iterator[None]:
 
 
 def _sentence(error: Exception) -> str:
-    """Return the message in one printable line, without its middle if a value makes it very
-    long.
-    """
-    told = (
-        (error.filename, error.strerror)
-        if isinstance(error, OSError) and error.strerror
-        else (error,)
-    )
-    sentence = " ".join(": ".join(str(part) for part in told if part).split())
-    return (
-        sentence
-        if len(sentence) <= LONGEST
-        else f"{sentence[: LONGEST // 2]} ... {sentence[-LONGEST // 2 :]}"
-    )
+    """Return the message in one line, without its middle if a value makes it very long."""
+    text = str(error)
+    if isinstance(error, OSError) and error.strerror:
+        text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return shortened(text, LONGEST)
 
 
 def _check_outputs(options: object) -> None:

@@ -6,28 +6,29 @@ skipped if its product exists, so an interrupted quickstart resumes.
 """
 
 import importlib.util
+import json
 import os
 import shutil
 import subprocess
 import sys
 import time
 import webbrowser
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager, redirect_stdout
+from contextlib import redirect_stdout
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from tqdm import tqdm
 
 from dynahoi_lerobot.cli import main as cli
 from dynahoi_lerobot.core.arguments import CommandError, option, whole
+from dynahoi_lerobot.core.progress import progress_bar
 from dynahoi_lerobot.core.working_folder import working_folder
 from dynahoi_lerobot.dataset.paths import check_root
 from dynahoi_lerobot.doctor import cores
 from dynahoi_lerobot.evaluate.checkpoint import WEIGHTS
-from dynahoi_lerobot.evaluate.results import read_results
+from dynahoi_lerobot.evaluate.results import METRICS_FILE, read_results
 from dynahoi_lerobot.evaluate.table import metrics_table
 from dynahoi_lerobot.report.page import render_report
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
@@ -46,10 +47,10 @@ SHOWN = ("S_loc", "S_joint", "E_loc", "R_time")
 """Metrics of the table in the terminal, which has 100 columns; the report shows all."""
 TABLE = "table.txt"
 """Written last, so that its presence says that every baseline was evaluated."""
-TASK_DONE = "metrics so far:"
-"""What the environment prints after each kind of motion."""
-STEPS_DONE, LOG_STEPS = " step:", 5
-"""What `lerobot-train` prints, and every how many steps."""
+SAVES = 10
+"""Checkpoints of a training, whose steps the progress bar shows; the last is kept."""
+POLL_S = 1.0
+"""Time between two looks at the files that LeRobot writes."""
 THREADS = {"train": 2, "eval": 1}
 """Of torch: a training step takes 0.56 s on two cores instead of 0.79 s. Clips are recorded beside
 the evaluation."""
@@ -69,7 +70,7 @@ class Size:
     kinds: int = len(KINDS)
 
 
-TINY = Size(episodes=2, steps=LOG_STEPS, per_kind=1, kinds=2)
+TINY = Size(episodes=2, steps=5, per_kind=1, kinds=2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,16 +89,18 @@ class Options:
 
 def run(options: Options) -> int:
     """Run the remaining stages; return the exit code."""
-    if missing := [name for name in NEEDS if importlib.util.find_spec(name) is None]:
+    missing = [name for name in NEEDS if importlib.util.find_spec(name) is None]
+    if missing:
         raise ValueError(
             f"training needs {', '.join(missing)}: pip install '.[lerobot]' "
             f"./envs/lerobot_env_dynahoi "
             "./policies/lerobot_policy_obact, in a checkout"
         )
-    check_root(out := options.out.resolve())
-    size = (
-        TINY if options.tiny else Size(options.episodes, options.steps, options.evaluation_episodes)
-    )
+    out = options.out.resolve()
+    check_root(out)
+    size = Size(options.episodes, options.steps, options.evaluation_episodes)
+    if options.tiny:
+        size = TINY
     start = time.monotonic()
     with working_folder(out, {"quickstart": asdict(size)}):
         _run_stages(out, size)
@@ -106,6 +109,7 @@ def run(options: Options) -> int:
 
 
 def _run_stages(out: Path, size: Size) -> None:
+    """Run the stages whose products do not exist, with the baselines beside the later ones."""
     stages: list[tuple[str, Path, Callable[[Path, Size], None]]] = [
         ("generate a dataset", out / "dataset", _generate),
         ("encode its images", out / "encoded", _encode),
@@ -114,14 +118,16 @@ def _run_stages(out: Path, size: Size) -> None:
     ]
     with ThreadPoolExecutor(1) as beside:
         baselines: Future[None] | None = None
-        for number, (what, product, stage) in enumerate(stages, 1):
-            begin, done = time.monotonic(), product.exists()
+        for number, (title, product, stage) in enumerate(stages, 1):
+            begin = time.monotonic()
             if number > 1 and baselines is None and not (out / TABLE).exists():
                 baselines = beside.submit(_baselines, out, size)
-            if not done:
+            if product.exists():
+                took = "already done"
+            else:
                 stage(out, size)
-            took = "already done" if done else f"{time.monotonic() - begin:.0f} s"
-            print(f"[{number}/{len(stages)}] {what}: {took}", flush=True)
+                took = f"{time.monotonic() - begin:.0f} s"
+            print(f"[{number}/{len(stages)}] {title}: {took}", flush=True)
         if baselines is not None:
             baselines.result()
 
@@ -138,49 +144,45 @@ def _encode(out: Path, size: Size) -> None:
     _dynahoi(out / "encode.log", "encode", out / "dataset", out / "encoded")
 
 
-def _dynahoi(log: Path, *words: object) -> None:
-    """Run a command in a process of its own, which prints into ``log``."""
-    with log.open("w", encoding="utf-8") as file:
-        command = [sys.executable, "-m", "dynahoi_lerobot.cli.main", *map(str, words)]
-        if code := subprocess.run(
-            command, stdout=file, stderr=subprocess.STDOUT, env=_threads(1), check=False
-        ).returncode:
-            raise CommandError(f"dynahoi {words[0]} exited with code {code}; see {log}")
-
-
 def _checkpoint(out: Path) -> Path:
     return out / "training" / "pretrained_model"
 
 
 def _train(out: Path, size: Size) -> None:
     """Train; keep only the last checkpoint."""
-    checkpoint, partial = _checkpoint(out), out / "training.partial"
+    partial = _emptied(out / "training.partial")
+    checkpoints = partial / "run" / "checkpoints"
+    every = max(1, size.steps // SAVES)
     arguments = [
         f"--config_path={TRAINING}",
         f"--dataset.root={out / 'encoded'}",
-        f"--output_dir={partial / 'run'}",
+        f"--output_dir={checkpoints.parent}",
         f"--policy.device={_device()}",
         f"--steps={size.steps}",
-        f"--save_freq={size.steps}",
-        f"--log_freq={LOG_STEPS}",
+        f"--save_freq={every}",
+        f"--log_freq={every}",
     ]
-    total, looks = (
-        size.steps // LOG_STEPS,
-        "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}",
-    )
-    bar: dict[str, Any] = {"total": total, "desc": "training", "bar_format": looks}
-    with _run_into("train", arguments, out, partial, STEPS_DONE, **bar):
-        checkpoint.parent.mkdir(exist_ok=True)
-        (partial / "run" / "checkpoints" / "last" / checkpoint.name).rename(checkpoint)
+    looks = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
+    with progress_bar(total=size.steps, desc="training", bar_format=looks) as bar:
+        run_lerobot("train", arguments, out, lambda: _steps(checkpoints), bar)
+    checkpoint = _checkpoint(out)
+    checkpoint.parent.mkdir(exist_ok=True)
+    (checkpoints / "last" / checkpoint.name).rename(checkpoint)
+    shutil.rmtree(partial)
+
+
+def _steps(checkpoints: Path) -> int:
+    """Return how many steps have been trained when the last checkpoint was saved."""
+    return max((int(folder.name) for folder in checkpoints.glob("[0-9]*")), default=0)
 
 
 def _evaluate(out: Path, size: Size) -> None:
     """Evaluate; keep the results only once every kind of motion has been played."""
-    kinds, results, partial = (
-        KINDS[: size.kinds],
-        out / "results" / POLICY,
-        out / "results" / f"{POLICY}.partial",
-    )
+    kinds = KINDS[: size.kinds]
+    episodes = len(kinds) * size.per_kind
+    results = out / "results" / POLICY
+    partial = _emptied(out / "results" / f"{POLICY}.partial")
+    made = partial / POLICY
     arguments = [
         f"--policy.path={_checkpoint(out)}",
         f"--policy.device={_device()}",
@@ -188,66 +190,72 @@ def _evaluate(out: Path, size: Size) -> None:
         f"--env.task={','.join(kinds)}",
         f"--env.split={SMALL_TEST}",
         f"--env.image_size={IMAGE_SIZE}",
-        f"--env.results_dir={partial / results.name}",
+        f"--env.results_dir={made}",
         f"--eval.n_episodes={size.per_kind}",
         f"--eval.batch_size={size.per_kind}",
         "--seed=0",
         f"--output_dir={out / 'lerobot_eval'}",
     ]
     with ThreadPoolExecutor(1) as beside:
-        filmed = beside.submit(_film, out, min(GIFS, len(kinds) * size.per_kind))
-        with _run_into(
-            "eval",
-            arguments,
-            out,
-            partial,
-            TASK_DONE,
-            total=len(kinds),
-            desc="evaluating",
-            unit="kind",
-        ):
-            for clip in (film := filmed.result()).glob("*.gif"):
-                clip.rename(partial / results.name / clip.name)
-            shutil.rmtree(film, ignore_errors=True)
-            (partial / results.name).rename(results)
-
-
-@contextmanager
-def _run_into(
-    command: str, arguments: list[str], out: Path, partial: Path, step: str, **bar: Any
-) -> Iterator[None]:
-    """Run ``lerobot-train`` or ``lerobot-eval``; the body moves what is kept out of ``partial``."""
-    log = out / f"lerobot_{command}.log"
-    shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir(parents=True)
-    with tqdm(disable=None, leave=False, **bar) as progress:
-        code = run_lerobot(command, arguments, log, step, progress)
-    if code:
-        raise CommandError(f"lerobot-{command} exited with code {code}; see {log}")
-    yield
+        filmed = beside.submit(_film, out, min(GIFS, episodes))
+        with progress_bar(total=episodes, desc="evaluating", unit="episode") as bar:
+            run_lerobot("eval", arguments, out, lambda: _played(made), bar)
+        film = filmed.result()
+    for clip in film.glob("*.gif"):
+        clip.rename(made / clip.name)
+    shutil.rmtree(film, ignore_errors=True)
+    made.rename(results)
     shutil.rmtree(partial)
 
 
-def run_lerobot(command: str, arguments: list[str], log: Path, step: str, bar: tqdm) -> int:
-    """Return the exit code of ``lerobot-<command>``, which prints into ``log``; ``bar`` counts
-    lines with ``step``.
+def _played(results: Path) -> int:
+    """Return how many episodes the environment has written; it does after every kind of motion."""
+    head = results / METRICS_FILE
+    return json.loads(head.read_text())["n"] if head.exists() else 0
+
+
+def _emptied(folder: Path) -> Path:
+    """Make a folder anew."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    return folder
+
+
+def run_lerobot(
+    command: str, arguments: list[str], out: Path, done: Callable[[], int], bar: tqdm
+) -> None:
+    """Run ``lerobot-<command>``, which prints into a log below ``out``; ``bar`` shows what is
+    ``done``.
+
+    Raises:
+        CommandError: if it fails.
     """
-    process = subprocess.Popen(
-        [sys.executable, "-m", f"lerobot.scripts.lerobot_{command}", *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        env=_threads(min(THREADS[command], cores())),
-        encoding="utf-8",
-        errors="replace",
-    )
-    assert process.stdout is not None
-    with process, log.open("w", encoding="utf-8") as file:
-        file.write(f"lerobot-{command} {' '.join(arguments)}\n")
-        for line in process.stdout:
-            file.write(line)
-            bar.update(step in line)
-        bar.refresh()  # the last lines come in a burst, of which tqdm shows the first alone
-    return process.returncode
+    log = out / f"lerobot_{command}.log"
+    words = [sys.executable, "-m", f"lerobot.scripts.lerobot_{command}", *arguments]
+    with log.open("w", encoding="utf-8") as file:
+        print(f"lerobot-{command}", *arguments, file=file, flush=True)
+        environment = _threads(min(THREADS[command], cores()))
+        process = subprocess.Popen(words, stdout=file, stderr=subprocess.STDOUT, env=environment)
+        try:
+            while process.poll() is None:
+                time.sleep(POLL_S)
+                bar.update(done() - bar.n)
+        finally:
+            process.terminate()
+            process.wait()
+    bar.update(done() - bar.n)
+    bar.refresh()
+    if process.returncode:
+        raise CommandError(f"lerobot-{command} exited with code {process.returncode}; see {log}")
+
+
+def _dynahoi(log: Path, *words: object) -> None:
+    """Run a command in a process of its own, which prints into ``log``."""
+    command = [sys.executable, "-m", "dynahoi_lerobot.cli.main", *map(str, words)]
+    with log.open("w", encoding="utf-8") as file:
+        code = subprocess.call(command, stdout=file, stderr=subprocess.STDOUT, env=_threads(1))
+    if code:
+        raise CommandError(f"dynahoi {words[0]} exited with code {code}; see {log}")
 
 
 def _threads(count: int) -> dict[str, str]:
@@ -257,7 +265,8 @@ def _threads(count: int) -> dict[str, str]:
 
 def _film(out: Path, count: int) -> Path:
     """Record the trained policy's first ``count`` episodes as GIFs; return their folder."""
-    shutil.rmtree(film := out / "film", ignore_errors=True)
+    film = out / "film"
+    shutil.rmtree(film, ignore_errors=True)
     words = ["--policy", _checkpoint(out), "--out", film, "--episodes", count, "--gifs", count]
     _dynahoi(out / "film.log", "evaluate", *words)
     return film
@@ -272,19 +281,10 @@ def _device() -> str:
 
 def _baselines(out: Path, size: Size) -> None:
     """Evaluate the privileged baselines on the same episodes."""
-    count = size.kinds * size.per_kind
+    options = ["--episodes", size.kinds * size.per_kind, "--image-size", 0]
     for name in BASELINES:
-        words = [
-            "--policy",
-            name,
-            "--out",
-            out / "results" / name,
-            "--episodes",
-            count,
-            "--image-size",
-            0,
-        ]
-        _dynahoi(out / f"{name}.log", "evaluate", *words)
+        folder = out / "results" / name
+        _dynahoi(out / f"{name}.log", "evaluate", "--policy", name, "--out", folder, *options)
 
 
 def _conclude(out: Path, start: float, *, show: bool) -> None:
@@ -295,13 +295,9 @@ def _conclude(out: Path, start: float, *, show: bool) -> None:
     names = [result.marked(result.info.policy) for result in results]
     table = replace(metrics_table(names, results, SHOWN), caption="").as_text()
     (out / TABLE).write_text(table + "\n")
-    print(
-        f"\n{table}\n\nThese scores follow a short training; docs/results.md lists those of the "
-        f"whole recipe."
-    )
-    print(
-        f"done in {time.monotonic() - start:.0f} s; the report, with all metrics: "
-        f"{page.resolve().as_uri()}"
-    )
+    address = page.resolve().as_uri()
+    print(f"\n{table}\n")
+    print("These scores follow a short training; docs/results.md lists those of the whole recipe.")
+    print(f"done in {time.monotonic() - start:.0f} s; the report, with all metrics: {address}")
     if show:
-        webbrowser.open(page.resolve().as_uri())
+        webbrowser.open(address)

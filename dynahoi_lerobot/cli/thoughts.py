@@ -10,12 +10,9 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from dynahoi_lerobot.core.agent import Observation
 from dynahoi_lerobot.core.conventions import EGO_VIEW, PALM_DOF
-from dynahoi_lerobot.core.numerics import quat_to_matrix
-from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.renderers.views import VIEWS
-from dynahoi_lerobot.world.sensors import camera_pose, intrinsics
+from dynahoi_lerobot.scene.pinhole import Pinhole
 
 if TYPE_CHECKING:
     from dynahoi_lerobot.core.episode import Episode
@@ -24,39 +21,12 @@ if TYPE_CHECKING:
 WIDTH_PX, STRIP_PX, LEGEND_PX = 480, 48, 20
 NEAREST_M = 0.02
 """What is nearer to the camera, or behind it, is not drawn."""
+FARTHEST = 40
+"""A place outside the image is drawn at most so many halves of it away."""
 SIGHTED, EXPECTED, MEETING, BACK = (255, 214, 10), (64, 200, 255), (255, 70, 160), (30, 30, 34)
 Pixel = Callable[[np.ndarray], tuple[int, int] | None]
 TIMES_S = (0.5, 1.0, 2.4)
 """Times ahead that are written beside the forecast [s]."""
-
-
-class ThinkingAgent(PolicyAgent):
-    """A policy whose record of every decision is kept.
-
-    Attributes:
-        thoughts: one a frame of the episode that it played last.
-    """
-
-    thoughts: list[Any]
-
-    def reset(self, count: int) -> None:
-        """Forget the last episode."""
-        super().reset(count)
-        self.thoughts = []
-
-    def act(self, observation: Observation) -> np.ndarray:
-        """Return (N, 18) commands, and keep what was thought.
-
-        Raises:
-            ValueError: if the policy keeps no record of its decisions.
-        """
-        command = super().act(observation)
-        if (thought := getattr(self._policy, "decision", None)) is None:
-            raise ValueError(
-                f"--thoughts draws what ObAct records of its decisions; {self.name} records nothing"
-            )
-        self.thoughts.append(thought)
-        return command
 
 
 def drawn(episode: Episode, thoughts: Sequence[Any], batch: WorldBatch, view: str) -> np.ndarray:
@@ -81,18 +51,16 @@ def _camera(batch: WorldBatch, view: str, palm: np.ndarray) -> Pixel:
     """Return what projects a place [m], home frame, to column and row; None if it is not in front
     of the camera.
     """
-    model, (camera, _) = batch.scene.model, VIEWS[view]
-    pose = camera_pose(model, camera)
-    axes = quat_to_matrix(pose[3:])  # columns: right, up, backwards
-    origin = pose[:3] + (palm if camera == EGO_VIEW else 0.0)  # which the palm carries
-    focal, _, centre, _ = intrinsics(model, camera, WIDTH_PX)
+    name, _ = VIEWS[view]
+    camera = Pinhole.of(batch.scene.model, name)
+    origin = camera.pos_m + (palm if name == EGO_VIEW else 0.0)  # which the palm carries
 
     def pixel(place: np.ndarray) -> tuple[int, int] | None:
-        right, up, back = axes.T @ (place - origin)
-        if -back < NEAREST_M:
+        right, up, depth = camera.seen(place - origin)
+        if depth < NEAREST_M:
             return None
-        column, row = centre + focal * np.array([right, -up]) / -back
-        return int(np.clip(column, -9999, 9999)), int(np.clip(row, -9999, 9999))
+        column, row = np.clip([1 + right, 1 - up], -FARTHEST, FARTHEST) * WIDTH_PX / 2
+        return int(column), int(row)
 
     return pixel
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.cli.sample_page import column, read_episode, write_sample
-from dynahoi_lerobot.cli.thoughts import ThinkingAgent, drawn
+from dynahoi_lerobot.cli.thoughts import drawn
 from dynahoi_lerobot.core.arguments import given_of, option, whole
 from dynahoi_lerobot.core.conventions import (
     CONTROL_HZ,
@@ -37,6 +37,7 @@ from dynahoi_lerobot.evaluate.arguments import (
     playing_rules,
 )
 from dynahoi_lerobot.evaluate.gif import encode_gif, frame_phases, phases_of
+from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.renderers.views import VIEWS
@@ -161,7 +162,8 @@ def _played(motion: str, options: Options) -> Clip:
     """Play a new episode with the policy or expert."""
     given = dict(options.given)
     if options.thoughts:
-        actor = ThinkingAgent(options.policy, trust=options.trust)
+        actor = PolicyAgent(options.policy, trust=options.trust)
+        actor.thoughts = []
     else:
         actor = make_actor(options.policy, given.get("capture", Rules.capture), trust=options.trust)
     if options.view != EGO_VIEW:
@@ -182,9 +184,14 @@ def _played(motion: str, options: Options) -> Clip:
     batch = WorldBatch(recipe.rules, 1)
     episode = next(evaluate(batch, actor, [spec], images=True))
     clip = _clip(episode, options.view, episode.meta.agent)
-    if isinstance(actor, ThinkingAgent):
-        clip = replace(clip, frames=drawn(episode, actor.thoughts, batch, options.view))
-    return clip
+    thoughts = actor.thoughts if isinstance(actor, PolicyAgent) else None
+    if thoughts is None:
+        return clip
+    if any(thought is None for thought in thoughts):
+        raise ValueError(
+            f"--thoughts draws what ObAct records of its decisions; {actor.name} records nothing"
+        )
+    return replace(clip, frames=drawn(episode, thoughts, batch, options.view))
 
 
 def _replayed(folder: Path, options: Options) -> Clip:

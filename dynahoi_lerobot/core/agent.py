@@ -6,11 +6,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from dynahoi_lerobot.core.control_mode import JOINTS
+from dynahoi_lerobot.core.conventions import FINGER_DOF, HAND_DOF
 from dynahoi_lerobot.core.protocols import ControlClass
 from dynahoi_lerobot.core.spec import EpisodeSpec
 
@@ -78,6 +79,53 @@ class WorldState:
 
 
 @dataclass(frozen=True, eq=False)
+class WorldView:
+    """What is known of one world at one frame; unlike ``WorldState``, in the world frame, as the
+    episode is drawn.
+
+    Attributes:
+        spec: the episode.
+        state: (18,) where the hand will be when a command given now takes effect: palm centre [m],
+            world, and joint angles [rad].
+        frame: of the episode, now.
+        due_frame: the frame at which the command takes effect; in the observation window, the first
+            that does.
+        target_pos_w: (3,) position of the target now [m], world.
+        target_velocity_w: (3,) its linear velocity now [m/s], world.
+        localized: the target has been localised.
+        control: limits of the hand, and latency.
+        localization_radius_m: palm centre to target centre, below which the target is localised
+            [m].
+    """
+
+    spec: EpisodeSpec
+    state: np.ndarray
+    frame: int
+    due_frame: int
+    target_pos_w: np.ndarray
+    target_velocity_w: np.ndarray
+    localized: bool
+    control: ControlClass
+    localization_radius_m: float
+
+    @classmethod
+    def of(cls, world: WorldState, i: int, spec: EpisodeSpec) -> Self:
+        """Return what is known of world ``i``, which plays ``spec``."""
+        frame = int(world.frame[i])
+        return cls(
+            spec=spec,
+            state=world.state_when_due[i] + _origin(spec),
+            frame=frame,
+            due_frame=max(frame + world.control.latency_frames, spec.window_frames),
+            target_pos_w=world.target_pose[i, :3] + spec.home_pos_w,
+            target_velocity_w=world.target_velocity[i, :3],
+            localized=bool(world.localized[i]),
+            control=world.control,
+            localization_radius_m=world.localization_radius_m,
+        )
+
+
+@dataclass(frozen=True, eq=False)
 class Meeting:
     """Where and when a hand is going to meet its target.
 
@@ -115,7 +163,7 @@ class Actor(ABC):
 
     name: str = "actor"
     privileged: bool
-    has_memory: ClassVar[bool]
+    has_memory: bool
     sees_images: bool = False
     environment_state: str | None = ""
     control_mode: str | None = None
@@ -150,11 +198,21 @@ class Actor(ABC):
 
 
 class Agent(Actor):
-    """Maps observations of N worlds to N commands; it cannot see more."""
+    """Maps observations of N worlds to N commands; it cannot see more.
+
+    An agent that ``plans`` can also say what it would do in the next frames. Then not every frame
+    asks it for something, and it observes the others.
+
+    Attributes:
+        plans: whether it has ``plan``.
+        accepts_guidance: whether a plan can continue what the previous one has committed to.
+    """
 
     name = "agent"
     privileged = False
     has_memory = True
+    plans: bool = False
+    accepts_guidance: bool = False
 
     def commands(
         self, observation: Observation, world_state: Callable[[Observation], WorldState]
@@ -168,23 +226,9 @@ class Agent(Actor):
         next frame.
         """
 
+    def observe(self, observation: Observation) -> None:
+        """Note a frame in which neither a command nor a plan is asked for."""
 
-class ChunkAgent(Agent):
-    """An agent that can say what it would do in the next frames.
-
-    Attributes:
-        accepts_guidance: whether a chunk can be guided by what the previous one has committed to.
-    """
-
-    accepts_guidance: bool = False
-
-    def enable_guidance(self) -> None:
-        """Prepare for guidance, which ``accepts_guidance``."""
-
-    def watch(self, observation: Observation) -> None:
-        """Note a frame in which no chunk is asked for."""
-
-    @abstractmethod
     def plan(
         self,
         observation: Observation,
@@ -193,7 +237,7 @@ class ChunkAgent(Agent):
         executed: np.ndarray | None = None,
         delays: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Infer a chunk for each of some worlds; it counts as noting the frame.
+        """Infer a chunk of commands for each of some worlds; it counts as observing the frame.
 
         Args:
             observation: of all worlds.
@@ -206,19 +250,26 @@ class ChunkAgent(Agent):
             (n, H, 18) commands for the observed frame and those after it, and (n,) what the
             inference took [s].
         """
+        raise NotImplementedError(f"{self.name!r} does not plan")
 
 
 class Expert(Actor):
     """Maps the full simulator state of N worlds to N commands, deterministically, world by world.
 
-    A world may begin an episode at any frame of the others. What an expert keeps between frames,
-    such as a plan, must follow from the episode and the attempt alone.
+    It defines ``command`` of one world, or ``act`` of all. A world may begin an episode at any
+    frame of the others. What an expert keeps between frames, such as a plan, must follow from the
+    episode and the attempt alone.
+
+    Attributes:
+        labels_any_state: it is a function of the state alone, so that it can say what it wants in
+            whatever state somebody else gets into; it then defines ``goal``.
     """
 
     name = "expert"
     privileged = True
     has_memory = False
     control_mode = JOINTS
+    labels_any_state: ClassVar[bool] = False
 
     def commands(
         self, observation: Observation, world_state: Callable[[Observation], WorldState]
@@ -226,8 +277,44 @@ class Expert(Actor):
         """Return (N, 18) commands."""
         return self.act(world_state(observation))
 
-    @abstractmethod
+    def command(self, world: WorldView) -> np.ndarray:
+        """Return (18,) the command of one world: palm centre [m], world, and joint angles [rad]."""
+        raise NotImplementedError(f"{self.name!r} defines neither command nor act")
+
+    def goal(self, world: WorldView) -> np.ndarray:
+        """Return (18,) where the hand of one world should get to, and how far closed it should be
+        now.
+
+        Palm centre [m], world, which may lie beyond the reach of one frame, and joint angles [rad].
+        In the observation window it is what the expert would command were control active; after
+        the catch it holds still.
+        """
+        return self.command(world)
+
     def act(self, world: WorldState) -> np.ndarray:
         """Return (N, 18) commands: palm position [m], home frame, and joint angles [rad] for the
-        next frame.
+        next frame; worlds without an episode get zeros.
         """
+        return _each(world, self.command)
+
+    def label(self, world: WorldState) -> np.ndarray:
+        """Return (N, 18) the goals, home frame, or the commands of an expert that labels its own
+        states alone; worlds without an episode get zeros.
+        """
+        return _each(world, self.goal) if self.labels_any_state else self.act(world)
+
+
+def _each(world: WorldState, command: Callable[[WorldView], np.ndarray]) -> np.ndarray:
+    """(N, 18) what ``command`` says for each world, world frame, in its home frame; zeros without
+    an episode.
+    """
+    commands = np.zeros((len(world.specs), HAND_DOF))
+    for i, spec in enumerate(world.specs):
+        if spec is not None:
+            commands[i] = command(WorldView.of(world, i, spec)) - _origin(spec)
+    return commands
+
+
+def _origin(spec: EpisodeSpec) -> np.ndarray:
+    """(18,) of the home frame: the home [m], world, and zero for the joints."""
+    return np.concatenate([spec.home_pos_w, np.zeros(FINGER_DOF)])

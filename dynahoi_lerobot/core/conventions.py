@@ -5,11 +5,22 @@ which episodes are drawn and simulated, and in ``_h`` in the home frame, in whic
 and recorded: axes of the world, origin where the palm's centre waits in this episode.
 """
 
+import math
+
 CONTROL_HZ = 20
 """Control and frame rate [Hz] (Appendix "Data collection": ``sendInterval = 0.05 s``)."""
 
 CONTROL_DT = 1.0 / CONTROL_HZ
 """Duration of one frame [s]."""
+
+ROUNDING_FRAMES = 1e-9
+"""By how much a time may exceed a whole number of frames, being computed in floating point."""
+
+
+def frames_until(time_s: float) -> int:
+    """Return the first frame at or after a time [s]: 150 ms are three frames."""
+    return math.ceil(time_s / CONTROL_DT - ROUNDING_FRAMES)
+
 
 PHYSICS_HZ = 500
 """Simulation rate [Hz]."""
@@ -45,6 +56,9 @@ HAND_DOF = PALM_DOF + FINGER_DOF
 
 EGO_VIEW = "ego"
 """The view of the camera that is fixed to the hand; the camera in the model has the same name."""
+
+DEPTH, SEGMENTATION = "_depth", "_segmentation"
+"""How the names of views end whose colours are measurements."""
 
 DEFAULT_IMAGE_SIZE_PX = 128
 """Side of the square images where nothing is said [px]."""

@@ -13,6 +13,13 @@ def printable(text: str) -> str:
     return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
 
 
+def shortened(text: str, most: int) -> str:
+    """Return ``text`` in one line of at most ``most`` characters, without its middle if need be."""
+    line = " ".join(text.split())
+    half = (most - 1) // 2
+    return line if len(line) <= most else f"{line[:half]}…{line[-half:]}"
+
+
 def markdown(text: str) -> str:
     """Return ``text`` as one that ends no code, cell, line or address, and begins no HTML or link
     in Markdown.

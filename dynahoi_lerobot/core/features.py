@@ -20,21 +20,20 @@ import numpy as np
 from dynahoi_lerobot.core.agent import Observation
 from dynahoi_lerobot.core.control_mode import CONTROL_MODES, GRASP, JOINTS
 from dynahoi_lerobot.core.conventions import (
+    DEPTH,
     EGO_VIEW,
     FINGER_DOF,
     FINGERS,
     HAND_DOF,
     HAND_NAMES,
     JOINT_NAMES,
+    SEGMENTATION,
 )
 from dynahoi_lerobot.core.protocols import PHASES
 
 OBSERVATION_PREFIX = "observation."
 """LeRobot gives policies the columns of this prefix, and no others."""
 IMAGE_PREFIX = OBSERVATION_PREFIX + "images."
-EPISODE_TABLE_PREFIX = "stats/"
-"""Columns of the episode table: LeRobot reads an episode's whole row for every sample, but for this
-prefix."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +42,7 @@ class Feature:
 
     Attributes:
         name: attribute of ``Episode``, and of ``Observation`` if policies may see it.
-        key: column of the dataset: of the frame table, or of the episode table if it begins with
-            ``stats/``.
+        key: column of the dataset.
         shape: of one frame, () for a number, which the dataset stores as (1,). What policies see
             has two elements or more, because LeRobot cannot stream windows over one.
         names: of the elements, in order.
@@ -58,11 +56,11 @@ class Feature:
         needs_contact_sensors: whether only capture rules with ``uses_contact_sensors`` have it.
         on_request: whether policies and datasets get it only if the rules' ``environment_state``
             asks for it.
-        constant: whether it has one value per episode; a frame table repeats that value in every
-            row.
+        privileged: whether no policy may read it, only metrics and teachers: the dataset then
+            stores it in the privileged tables, which LeRobot does not read.
+        constant: whether it has one value per episode.
         per: what its rows are if it is not constant: ``frame``, or something whose number differs
-            between episodes, as ``attempt``, ``primitive`` or ``path frame``; only the episode
-            table can hold those.
+            between episodes, as ``attempt``, ``primitive`` or ``path frame``.
         derived: whether it follows from other attributes: a property of ``Episode``, which is
             stored but not read.
     """
@@ -79,6 +77,7 @@ class Feature:
     high: float = math.inf
     needs_contact_sensors: bool = False
     on_request: bool = False
+    privileged: bool = False
     constant: bool = False
     per: str = "frame"
     derived: bool = False
@@ -109,9 +108,17 @@ class Feature:
         return self.key.startswith(IMAGE_PREFIX)
 
     @property
-    def in_episode_table(self) -> bool:
-        """Whether the dataset stores it in the episode table instead of the frame table."""
-        return self.key.startswith(EPISODE_TABLE_PREFIX)
+    def measures(self) -> bool:
+        """Whether it is images whose colours are measurements, which no video may change: with the
+        default settings, h264 moves depth by up to 34 cm and gives 11 % of the target's pixels the
+        colour of something else (22 episodes, 96 px).
+        """
+        return self.is_image and self.key.endswith((DEPTH, SEGMENTATION))
+
+    @property
+    def by_frame(self) -> bool:
+        """Whether its rows are the frames of an episode."""
+        return self.per == "frame" and not self.constant
 
 
 FINGERTIP_NAMES = tuple(
@@ -157,11 +164,12 @@ _TABLE = (
     ),
     Feature(
         "fingertips",
-        "stats/fingertips",
+        "fingertips",
         (6 * len(FINGERS),),
         FINGERTIP_NAMES,
         "m, rad",
         "position, home frame, and rotation vector of each fingertip; computable from the state",
+        privileged=True,
     ),
     Feature(
         "phase",
@@ -192,9 +200,8 @@ _TABLE = (
         (13,),
         (*POSE_NAMES, *TWIST_NAMES),
         "m, 1, m/s, rad/s",
-        "true state of the target: position, home frame, and quaternion wxyz, as "
-        "stats/target.pose; linear and angular "
-        "velocity, world axes, as stats/target.velocity",
+        "true state of the target: position, home frame, and quaternion wxyz, as target.pose; "
+        "linear and angular velocity, world axes, as target.velocity",
         gym_key="environment_state",
         low=-1000.0,
         high=1000.0,
@@ -232,91 +239,101 @@ _TABLE = (
     ),
     Feature(
         "given_action",
-        "stats/given_action",
+        "given_action",
         (HAND_DOF,),
         COMMAND_NAMES,
         "m, rad",
         "command given in this frame by expert or policy, after disturbance, within reach when "
         "it takes effect",
+        privileged=True,
     ),
     Feature(
         "executed_action",
-        "stats/executed_action",
+        "executed_action",
         (HAND_DOF,),
         COMMAND_NAMES,
         "m, rad",
         "command that the hand executes from this frame to the next, after limits, latency and "
         "disturbance",
+        privileged=True,
     ),
     Feature(
         "target_pose",
-        "stats/target.pose",
+        "target.pose",
         (7,),
         POSE_NAMES,
         "m, 1",
         "target position, home frame, and quaternion wxyz",
+        privileged=True,
     ),
     Feature(
         "target_velocity",
-        "stats/target.velocity",
+        "target.velocity",
         (6,),
         TWIST_NAMES,
         "m/s, rad/s",
         "target linear and angular velocity, world axes",
+        privileged=True,
     ),
     Feature(
         "target_path",
-        "stats/target_path",
+        "target_path",
         (3,),
         POSITION_NAMES,
         "m",
         "undisturbed position of the target, home frame, in every frame of a full-length "
         "evaluation",
         per="path frame",
+        privileged=True,
     ),
     Feature(
         "target_contacts",
-        "stats/target.contacts",
+        "target.contacts",
         (len(FINGERS),),
         FINGERS,
         "1",
         "1 if the finger touches the target",
+        privileged=True,
     ),
     Feature(
         "intercept_position",
-        "stats/intercept.position",
+        "intercept.position",
         (3,),
         POSITION_NAMES,
         "m",
         "oracle intercept, home frame",
         constant=True,
+        privileged=True,
     ),
     Feature(
         "intercept_time",
-        "stats/intercept.time",
+        "intercept.time",
         (),
         ("time",),
         "s",
         "time of the oracle intercept from the start of the episode",
         constant=True,
+        privileged=True,
     ),
     Feature(
         "localized",
-        "stats/localized",
+        "localized",
         (),
         ("localized",),
         "1",
         "the target is or was localised",
         dtype="bool",
+        privileged=True,
     ),
     Feature(
         "captured",
-        "stats/captured",
+        "captured",
         (),
         ("captured",),
         "1",
         "the target is captured by the capture rule",
         dtype="bool",
+        privileged=True,
     ),
     Feature(
         "reward",
@@ -350,50 +367,55 @@ _TABLE = (
     ),
     Feature(
         "palm_distance",
-        "stats/palm_distance",
+        "palm_distance",
         (),
         ("distance",),
         "m",
         "least distance of palm centre and target centre in the last control step",
+        privileged=True,
     ),
     Feature(
         "fingertip_distance",
-        "stats/fingertip_distance",
+        "fingertip_distance",
         (),
         ("distance",),
         "m",
         "least distance of a fingertip to the target's surface, 0 inside",
+        privileged=True,
     ),
     Feature(
         "home_position",
-        "stats/home_position",
+        "home_position",
         (3,),
         POSITION_NAMES,
         "m",
         "origin of the home frame, world; the floor is at z = 0",
         constant=True,
+        privileged=True,
     ),
     Feature(
         "open_joints",
-        "stats/open_joints",
+        "open_joints",
         (FINGER_DOF,),
         JOINT_NAMES,
         "rad",
         "joint angles of the open hand",
         constant=True,
+        privileged=True,
     ),
     Feature(
         "reference_joints",
-        "stats/reference_joints",
+        "reference_joints",
         (FINGER_DOF,),
         JOINT_NAMES,
         "rad",
         "joint angles of the object's reference grasp",
         constant=True,
+        privileged=True,
     ),
     Feature(
         "object_primitives",
-        "stats/object_primitives",
+        "object_primitives",
         (len(PRIMITIVE_NAMES),),
         PRIMITIVE_NAMES,
         "1, m",
@@ -401,95 +423,112 @@ _TABLE = (
         "the object's frame, "
         "whose origin is the centre of mass",
         per="primitive",
+        privileged=True,
     ),
     Feature(
         "object_size",
-        "stats/object_size",
+        "object_size",
         (3,),
         POSITION_NAMES,
         "m",
         "extent of the object along its own axes",
         constant=True,
+        privileged=True,
     ),
     Feature(
-        "object_mass", "stats/object_mass", (), ("mass",), "kg", "mass of the object", constant=True
+        "object_mass",
+        "object_mass",
+        (),
+        ("mass",),
+        "kg",
+        "mass of the object",
+        privileged=True,
+        constant=True,
     ),
     Feature(
         "object_inertia",
-        "stats/object_inertia",
+        "object_inertia",
         (3,),
         POSITION_NAMES,
         "kg m^2",
         "moments of inertia of the object about its own axes",
         constant=True,
+        privileged=True,
     ),
     Feature(
         "object_friction",
-        "stats/object_friction",
+        "object_friction",
         (2,),
         ("hand", "surface"),
         "1",
         "sliding friction coefficients of the object against the hand and against the roughest "
         "surface it meets",
         constant=True,
+        privileged=True,
     ),
     Feature(
         "object_restitution",
-        "stats/object_restitution",
+        "object_restitution",
         (),
         ("restitution",),
         "1",
         "ratio of rebound to impact speed in its motion; 0 without impacts",
         constant=True,
+        privileged=True,
     ),
     Feature(
         "ego_camera",
-        "stats/ego_camera",
+        "ego_camera",
         (7,),
         POSE_NAMES,
         "m, 1",
         "pose of the hand's camera relative to the palm centre; it looks along -z, y is up",
         constant=True,
+        privileged=True,
     ),
     Feature(
         "side_camera",
-        "stats/side_camera",
+        "side_camera",
         (7,),
         POSE_NAMES,
         "m, 1",
         "pose of the side camera, home frame, same convention",
         constant=True,
+        privileged=True,
     ),
     Feature(
         "ego_intrinsics",
-        "stats/ego_intrinsics",
+        "ego_intrinsics",
         (4,),
         INTRINSICS_NAMES,
         "px",
         "focal lengths and principal point of the hand's camera",
         constant=True,
+        privileged=True,
     ),
     Feature(
         "side_intrinsics",
-        "stats/side_intrinsics",
+        "side_intrinsics",
         (4,),
         INTRINSICS_NAMES,
         "px",
         "focal lengths and principal point of the side camera",
         constant=True,
+        privileged=True,
     ),
     Feature(
         "hand_limits",
-        "stats/hand_limits",
+        "hand_limits",
         (3,),
         ("palm_speed", "joint_speed", "latency"),
         "m/s, rad/s, ms",
         "maximum speed of the palm (under contact, per axis) and of a joint; command latency",
         constant=True,
+        privileged=True,
     ),
     Feature(
         "first_plan",
-        "stats/first_plan",
+        "first_plan",
         (2,),
         ("speed", "lead_time"),
         "m/s, s",
@@ -497,10 +536,11 @@ _TABLE = (
         "time to it; 0 for "
         "actors without a plan",
         constant=True,
+        privileged=True,
     ),
     Feature(
         "attempt_success",
-        "stats/attempt_success",
+        "attempt_success",
         (),
         ("success",),
         "1",
@@ -508,6 +548,7 @@ _TABLE = (
         dtype="bool",
         per="attempt",
         derived=True,
+        privileged=True,
     ),
 )
 
@@ -573,7 +614,7 @@ def frame_features(
     asked = (
         f for f in sensed if not f.on_request or f.name == ENVIRONMENT_STATES[environment_state]
     )
-    stored = (feature for feature in asked if not feature.in_episode_table)
+    stored = (feature for feature in asked if not feature.privileged)
     return (
         *images,
         *(
@@ -583,11 +624,11 @@ def frame_features(
     )
 
 
-def episode_features() -> tuple[Feature, ...]:
-    """Return the columns of the episode table, which LeRobot does not load: metrics need them,
-    policies do not.
+def privileged_features() -> tuple[Feature, ...]:
+    """Return the columns of the privileged tables: metrics and teachers need them, policies must
+    not see them.
     """
-    return tuple(feature for feature in FEATURES.values() if feature.in_episode_table)
+    return tuple(feature for feature in FEATURES.values() if feature.privileged)
 
 
 def as_gym(observation: Observation) -> dict[str, Any]:

@@ -5,11 +5,10 @@ whoever moves it; protocols say what the hand may see, and when.
 """
 
 from dataclasses import dataclass
-from math import ceil
 
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import CONTROL_DT
+from dynahoi_lerobot.core.conventions import frames_until
 
 
 @dataclass(frozen=True)
@@ -33,7 +32,7 @@ class ControlClass:
     @property
     def latency_frames(self) -> int:
         """The latency in control steps, rounded up."""
-        return ceil(self.latency_ms / 1000 / CONTROL_DT - 1e-9)
+        return frames_until(self.latency_ms / 1000)
 
 
 CONTROL_CLASSES = {

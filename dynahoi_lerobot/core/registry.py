@@ -9,14 +9,11 @@ Other distributions may register as well, by *plugins*: modules that entry point
 
 import difflib
 import importlib
-import importlib.util
-import pkgutil
-import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from pathlib import Path
+from types import MappingProxyType
 from typing import cast
 
 
@@ -32,33 +29,38 @@ def known[T](noun: str, name: str, table: Mapping[str, T]) -> T:
             all.
     """
     if name not in table:
-        close = difflib.get_close_matches(name, table, n=1)
-        hint = f" (did you mean {close[0]!r}?)" if close else ""
         raise UnknownNameError(
-            f"unknown {noun} {name!r}{hint}; known: {', '.join(filter(None, table))}"
+            f"unknown {noun} {name!r}{suggestion(name, table)}; "
+            f"known: {', '.join(filter(None, table))}"
         )
     return table[name]
 
 
-class Registry[T]:
-    """Names to things, filled by decorators in one module, or in the modules of one package.
+def suggestion(name: str, names: Iterable[str]) -> str:
+    """Return `` (did you mean '...'?)`` with the closest of ``names``, or nothing if none is."""
+    close = difflib.get_close_matches(name, list(names), n=1)
+    return f" (did you mean {close[0]!r}?)" if close else ""
 
-    They are found on first look-up, so a new kind is one class or function and no other line. A
-    module whose decorators spell out their names is imported when one of these is looked up, every
-    other one at once. Code outside the package may register too: importing the module that holds
-    the decorator is enough, and the modules that other distributions name as ``plugins`` are
-    imported on first look-up as well.
+
+class Registry[T]:
+    """Names to things, filled by decorators.
+
+    Each package of the core imports its own modules, so that importing the package registers all of
+    them. A module of another distribution registers when it is imported: by its user, or, if an
+    entry point names it, when a name is first looked up here.
     """
 
-    def __init__(self, noun: str, package: str) -> None:
-        """Name what is registered (for error messages) and the module or package that registers
-        it.
+    def __init__(self, noun: str, slow: Mapping[str, str] = MappingProxyType({})) -> None:
+        """Create an empty registry.
+
+        Args:
+            noun: names an entry in error messages.
+            slow: modules by the name that each registers, which are imported when that name is
+                looked up, because the import takes long.
         """
         self.noun = noun
-        self._package = package
+        self._slow = slow
         self._entries: dict[str, T] = {}
-        self._modules: dict[str, str] = {}
-        self._discovered = False
 
     def register[E](self, name: str) -> Callable[[E], E]:
         """Return a decorator that files the decorated object under ``name``; a class gets it as its
@@ -69,12 +71,8 @@ class Registry[T]:
         """
 
         def decorate(entry: E) -> E:
-            if self._modules.get(name) not in (None, getattr(entry, "__module__", None)):
-                importlib.import_module(self._modules[name])
-            taken = self._entries.get(name)
-            if taken is not None and getattr(taken, "__qualname__", taken) != getattr(
-                entry, "__qualname__", entry
-            ):
+            taken = self._taken(name, entry)
+            if taken is not None:
                 raise ValueError(
                     f"the {self.noun} name {name!r} is taken by {taken!r}; choose another for "
                     f"{entry!r}"
@@ -86,17 +84,26 @@ class Registry[T]:
 
         return decorate
 
+    def _taken(self, name: str, entry: object) -> object:
+        """Return what else has ``name``; None if nothing has. A reloaded module takes its own."""
+        module = self._slow.get(name)
+        if module not in (None, entry.__module__):
+            return module
+        taken = self._entries.get(name)
+        same = getattr(taken, "__qualname__", taken) == getattr(entry, "__qualname__", entry)
+        return None if same else taken
+
     def names(self) -> list[str]:
         """Return all registered names, sorted."""
-        self._discover()
-        return sorted({*self._entries, *self._modules})
+        load_plugins()
+        return sorted({*self._entries, *self._slow})
 
     def __getitem__(self, name: str) -> T:
         """Return the entry called ``name``; UnknownNameError if nothing is registered under it."""
         if name not in self._entries:
             self.check(name)
-            if name in self._modules:
-                importlib.import_module(self._modules[name])
+            if name in self._slow:
+                importlib.import_module(self._slow[name])
         return self._entries[name]
 
     def check(self, name: str) -> None:
@@ -115,29 +122,6 @@ class Registry[T]:
         """Yield ``(name, entry)`` in the order of the names."""
         for name in self.names():
             yield name, self[name]
-
-    def _discover(self) -> None:
-        if self._discovered:
-            return
-        self._discovered = True
-        package = importlib.import_module(self._package)
-        for module in pkgutil.iter_modules(getattr(package, "__path__", ())):
-            path = f"{self._package}.{module.name}"
-            if names := _spelled_out(path):
-                self._modules |= dict.fromkeys(names, path)
-            elif module.name != "base":
-                importlib.import_module(path)
-        load_plugins()
-
-
-def _spelled_out(module: str) -> list[str]:
-    """Return the names that a module's decorators register, or none if one of them computes its
-    name.
-    """
-    spec = importlib.util.find_spec(module)
-    source = Path(spec.origin).read_text(encoding="utf-8") if spec and spec.origin else ""
-    names = re.findall(r'\.register\("(\w+)"\)', source)
-    return names if len(names) == source.count(".register(") else []
 
 
 GROUP = "dynahoi_lerobot.plugins"

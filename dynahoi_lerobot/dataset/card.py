@@ -83,10 +83,14 @@ def write_card(store: Store, manifest: Manifest) -> None:
         frame_columns=[
             _cells(key, e["dtype"], e["shape"], *told[key]) for key, e in store.features.items()
         ],
-        episode_columns=[
-            _cells(f.key, f.dtype, _episode_shape(f), f.unit, f.meaning)
-            for f in store.array_features
-        ],
+        privileged={
+            by_frame: [
+                _cells(f.key, f.dtype, _privileged_shape(f), f.unit, f.meaning)
+                for f in store.privileged.features
+                if f.by_frame == by_frame
+            ]
+            for by_frame in (True, False)
+        },
     )
     (store.root / CARD_PATH).write_text(text, encoding="utf-8")
 
@@ -109,8 +113,10 @@ def _counts(store: Store, column: str) -> dict[str, tuple[int, int]]:
     return {name: (len(successes), sum(successes)) for name, successes in groups.items()}
 
 
-def _episode_shape(feature: Feature) -> Sequence[object]:
-    return feature.column_shape if feature.constant else ("n", *feature.shape)
+def _privileged_shape(feature: Feature) -> Sequence[object]:
+    if feature.constant or feature.by_frame:
+        return feature.column_shape
+    return ("n", *feature.shape)
 
 
 def _cells(key: str, dtype: str, shape: Sequence[object], unit: str, meaning: str) -> list[str]:

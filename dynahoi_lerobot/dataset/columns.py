@@ -5,6 +5,7 @@ them back.
 import io
 import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from dynahoi_lerobot.core.features import (
     image_feature,
 )
 from dynahoi_lerobot.core.protocols import is_acting
+from dynahoi_lerobot.core.reading import read_table
 from dynahoi_lerobot.dataset.video import MAX_PIXELS, Encoding
 
 Features = dict[str, dict[str, Any]]
@@ -50,7 +52,7 @@ SUBTASKS = (
 
 def dataset_features(episode: Episode) -> tuple[Feature, ...]:
     """Return the columns that a dataset of such episodes has, in its order: of the frame table, or
-    of the episode's.
+    of the privileged tables.
     """
     images = (image_feature(view, frames.shape[1]) for view, frames in episode.images.items())
     told = FEATURES | {"action": action_feature(episode.meta.control_mode)}
@@ -66,9 +68,8 @@ def described_features(table: Features) -> dict[str, Feature]:
         key: image_feature(key.removeprefix(IMAGE_PREFIX), table[key]["shape"][0])
         for key in image_keys(table)
     }
-    return views | {
-        f.key: f for f in TOLD_APART if f.key in table and table[f.key]["names"] == [*f.names]
-    }
+    stored = (f for f in TOLD_APART if f.key in table and not f.privileged)
+    return views | {f.key: f for f in stored if table[f.key]["names"] == [*f.names]}
 
 
 def info_features(
@@ -78,9 +79,7 @@ def info_features(
     own.
     """
     table = {
-        feature.key: _info(feature, encoding)
-        for feature in features
-        if not feature.in_episode_table
+        feature.key: _info(feature, encoding) for feature in features if not feature.privileged
     }
     table |= {
         key: {"dtype": dtype, "shape": [1], "names": None} for key, dtype in BOOKKEEPING.items()
@@ -98,7 +97,7 @@ def _info(feature: Feature, encoding: Encoding) -> dict[str, Any]:
     }
     if not feature.is_image:
         return entry
-    if not encoding.is_video:
+    if feature.measures or not encoding.is_video:
         return entry | {"dtype": "image"}
     return entry | {"dtype": "video", "info": encoding.info(feature.shape[0])}
 
@@ -106,6 +105,11 @@ def _info(feature: Feature, encoding: Encoding) -> dict[str, Any]:
 def image_keys(features: Features) -> list[str]:
     """Return the keys of all images, those of the hand's camera first."""
     return [key for key in features if key.startswith(IMAGE_PREFIX)]
+
+
+def video_keys(features: Features) -> list[str]:
+    """Return the keys of the images that are stored as video."""
+    return [key for key in image_keys(features) if features[key]["dtype"] == "video"]
 
 
 def numeric_keys(features: Features) -> list[str]:
@@ -117,7 +121,7 @@ def content_arrays(episode: Episode, features: Sequence[Feature]) -> dict[str, n
     """Return the episode's numeric columns among ``features`` of the frame table under their keys,
     (T, D) each.
     """
-    stored = (feature for feature in features if not (feature.is_image or feature.in_episode_table))
+    stored = (feature for feature in features if not (feature.is_image or feature.privileged))
     return {
         f.key: np.asarray(getattr(episode, f.name), f.dtype).reshape(len(episode), -1)
         for f in stored
@@ -181,11 +185,10 @@ def frame_columns(
 
 
 def flat_array(values: np.ndarray, kind: pa.DataType) -> pa.Array:
-    """Return an array of numbers, or of fixed-size lists of them, from (T, ...)."""
-    flat = np.ascontiguousarray(values).reshape(-1)  # (T * D,)
+    """Return an array of numbers, or of fixed-size lists of them at any depth, from (T, ...)."""
     if not pa.types.is_fixed_size_list(kind):
-        return pa.array(flat, kind)
-    return pa.FixedSizeListArray.from_arrays(pa.array(flat, kind.value_type), kind.list_size)
+        return pa.array(np.ascontiguousarray(values).reshape(-1), kind)  # (T * D,)
+    return pa.FixedSizeListArray.from_arrays(flat_array(values, kind.value_type), kind.list_size)
 
 
 def column_array(table: pa.Table, key: str) -> np.ndarray:
@@ -216,6 +219,16 @@ def column_array(table: pa.Table, key: str) -> np.ndarray:
     return values.to_numpy(zero_copy_only=False).reshape(
         len(column), -1 if len(column) else 1
     )  # (n, D)
+
+
+def numeric_columns(files: Sequence[Path], keys: Sequence[str]) -> list[np.ndarray]:
+    """Return numeric columns of a table of several files, (n, D) each.
+
+    Raises:
+        ValueError: as ``column_array``, or if a file is missing or damaged.
+    """
+    tables = [read_table(path, [*keys]) for path in files]
+    return [np.concatenate([column_array(table, key) for table in tables]) for key in keys]
 
 
 def is_list(kind: pa.DataType) -> bool:

@@ -1,12 +1,11 @@
-"""The episode table: LeRobot's columns, then one column per fact about the episode, and its arrays
-below ``stats/``.
+"""The episode table: LeRobot's columns, and one column per fact about the episode.
 
 Facts are read by ``LeRobotDataset(..., episode_filter=lambda ep: ep["motion"] == "lob")`` and by
-``ds.meta.episodes[i]["seed"]``. LeRobot does not load what is below ``stats/``, so privileged
-arrays cost no training anything there; ``dataset.frame_column`` reads them.
+``ds.meta.episodes[i]["seed"]``. Below ``stats/`` are LeRobot's statistics, one column for each
+feature and statistic, and nothing else: readers take such names apart.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import asdict, fields
 from typing import Any, get_type_hints
 
@@ -14,10 +13,8 @@ import numpy as np
 import pyarrow as pa
 
 from dynahoi_lerobot.core.episode import Episode, EpisodeMeta
-from dynahoi_lerobot.core.features import Feature, episode_features
 from dynahoi_lerobot.dataset.columns import (
     BOOKKEEPING,
-    SCALARS,
     Features,
     bookkeeping_arrays,
     image_keys,
@@ -29,6 +26,9 @@ from dynahoi_lerobot.dataset.statistics import NAMES, Stats, table_stats
 
 EpisodeRow = dict[str, Any]
 
+STATS_PREFIX = "stats/"
+"""Statistics: LeRobot reads an episode's whole row for every sample, but for this prefix."""
+
 FACTS = {
     field.name: pa.string() if field.type is str else pa.int64() for field in fields(EpisodeMeta)
 }
@@ -38,48 +38,19 @@ FACT_TYPES = get_type_hints(EpisodeMeta) | {"success": bool, "stage": str, "task
 """What an episode needs to be copied; an edited dataset may lack it."""
 
 
-def own_columns(episode: Episode, features: Iterable[Feature]) -> EpisodeRow:
-    """Return our columns of an episode's row: its facts, and those of ``features`` that are in this
-    table.
-    """
-    arrays = {f.key: _cells(getattr(episode, f.name), f) for f in features if f.in_episode_table}
-    return (
-        asdict(episode.meta) | {"success": bool(episode.success), "stage": episode.stage} | arrays
-    )
+def own_columns(episode: Episode) -> EpisodeRow:
+    """Return our columns of an episode's row: its facts."""
+    return asdict(episode.meta) | {"success": bool(episode.success), "stage": episode.stage}
 
 
 def own_values(row: EpisodeRow) -> dict[str, Any]:
     """Return the attributes of an Episode that its row holds: undoes ``own_columns``.
 
     Raises:
-        KeyError: if a column is missing that every dataset has.
-        ValueError: if an array by frame is not as long as the episode.
+        KeyError: if a column is missing.
     """
-    held = [f for f in episode_features() if not f.derived and (f.key in row or not f.optional)]
     meta = EpisodeMeta(**{field.name: row[field.name] for field in fields(EpisodeMeta)})
-    values = {f.name: _value(row[f.key], f) for f in held}
-    for f in held:
-        if f.per == "frame" and not f.constant and len(values[f.name]) != row["length"]:
-            raise ValueError(
-                f"{f.key} has {len(values[f.name])} rows; the episode has {row['length']} frames"
-            )
-    return {"meta": meta, "success": row["success"], "stage": row["stage"]} | values
-
-
-def _cells(value: Any, feature: Feature) -> Any:
-    """A number, or the elements of an array one after the other."""
-    array = np.asarray(value, feature.dtype)
-    return array.ravel().tolist() if array.ndim else array.item()
-
-
-def _value(cells: Any, feature: Feature) -> Any:
-    """The attribute of an Episode: a number, or an array of the feature's shape, of several where
-    it has several.
-    """
-    array = np.array(cells, feature.dtype)
-    if not array.ndim:
-        return array.item()
-    return array.reshape(feature.shape if feature.constant else (-1, *feature.shape))
+    return {"meta": meta, "success": row["success"], "stage": row["stage"]}
 
 
 def stats_columns(stats: dict[str, Stats]) -> EpisodeRow:
@@ -113,10 +84,8 @@ def place_row(row: EpisodeRow, episode_index: int, first_index: int, task_index:
     return row | placed | stats_columns(table_stats(arrays))
 
 
-def row_schema(features: Features, columns: Sequence[Feature]) -> pa.Schema:
-    """Return the schema of the episode files: of ``columns``, those that are in this table
-    count.
-    """
+def row_schema(features: Features) -> pa.Schema:
+    """Return the schema of the episode files."""
     images = image_keys(features)
     videos = [key for key in images if features[key]["dtype"] == "video"]
     types: dict[str, pa.DataType] = {"episode_index": pa.int64(), "tasks": pa.list_(pa.string())}
@@ -124,9 +93,7 @@ def row_schema(features: Features, columns: Sequence[Feature]) -> pa.Schema:
     types |= {"dataset_from_index": pa.int64(), "dataset_to_index": pa.int64()}
     types |= video_columns(videos, dict.fromkeys(("chunk_index", "file_index"), pa.int64()))
     types |= video_columns(videos, dict.fromkeys(("from_timestamp", "to_timestamp"), pa.float64()))
-    types |= FACTS | {
-        feature.key: _type(feature) for feature in columns if feature.in_episode_table
-    }
+    types |= FACTS
     for key in [*images, *numeric_keys(features)]:
         types |= {f"stats/{key}/{name}": _stat_type(key in images, name) for name in NAMES}
     types |= {"meta/episodes/chunk_index": pa.int64(), "meta/episodes/file_index": pa.int64()}
@@ -146,11 +113,6 @@ def fits_column(found: pa.DataType, wanted: pa.DataType) -> bool:
     if pa.types.is_string(wanted):
         return found in (pa.string(), pa.large_string())
     return is_number(found) and is_number(wanted)
-
-
-def _type(feature: Feature) -> pa.DataType:
-    scalar = SCALARS[feature.dtype]
-    return scalar if feature.constant and not feature.shape else pa.list_(scalar)
 
 
 def _stat_type(image: bool, name: str) -> pa.DataType:

@@ -10,10 +10,12 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Self, get_type_hints
 
-from dynahoi_lerobot.core.reading import FILE_BYTES, TEXT_BYTES, ReadError, read_object, sha256
+from dynahoi_lerobot.core.reading import ReadError, read_object, sha256
 from dynahoi_lerobot.dataset.paths import CARD_PATH, MANIFEST_PATH, write_json
 
-FORMAT = 1
+SCHEMA = 1
+"""What the files that this project writes hold. A reader refuses another number. A column that may
+be missing is added without changing it."""
 NOT_OURS = (CARD_PATH, "LICENSE", ".gitattributes", MANIFEST_PATH)
 NOT_OUR_FOLDERS = (".cache/", ".git/")
 """What the Hub, git and people put beside a dataset; the manifest lists everything else but
@@ -76,18 +78,37 @@ class Manifest:
     @classmethod
     def read(cls, root: Path) -> Self:
         """Read it from below ``root``; ReadError if there is none, or it is not JSON of the
-        format.
+        schema.
         """
+        check_schema(root)
         types = get_type_hints(cls)
-        content = read_object(root / MANIFEST_PATH, types)
-        if content.pop("format", None) != FORMAT or content.keys() != types.keys():
-            raise ReadError(
-                f"{root / MANIFEST_PATH} has an unknown format; format {FORMAT} is known"
-            )
+        content = read_object(path := root / MANIFEST_PATH, types)
+        del content["schema"]
+        if unknown := sorted(content.keys() - types.keys()):
+            raise ReadError(f"{path} has an unknown key {unknown[0]!r:.40}")
         return cls(**content)
 
     def _content(self) -> dict[str, Any]:
-        return {"format": FORMAT, **asdict(self)}
+        return {"schema": SCHEMA, **asdict(self)}
+
+
+def check_schema(root: Path) -> None:
+    """Refuse a dataset of another schema than the one that is read here; one without a manifest,
+    which another tool has edited, passes.
+
+    Raises:
+        ReadError: naming the schema that was found and the one that is read.
+    """
+    if not (path := root / MANIFEST_PATH).exists():
+        return
+    content = read_object(path, {})
+    found = content.get("schema")
+    if type(found) is not int or found != SCHEMA:
+        told = f"schema {found!r:.40}" if "schema" in content else "no schema"
+        raise ReadError(
+            f"{path} has {told}, and this version reads schema {SCHEMA}; generate the dataset "
+            f"again with this version"
+        )
 
 
 def file_problems(root: Path, manifest: Manifest) -> Iterator[str]:
@@ -114,14 +135,14 @@ def changed_files(root: Path, manifest: Manifest) -> list[str]:
     return [
         path.relative_to(root).as_posix()
         for path, digest in there
-        if os.path.isfile(path) and sha256(path, FILE_BYTES) != digest
+        if os.path.isfile(path) and sha256(path) != digest
     ]
 
 
 def has_own_card(root: Path, manifest: Manifest) -> bool:
     """Tell whether the card is the one that the manifest lists."""
     card = root / CARD_PATH
-    return os.path.isfile(card) and sha256(card, TEXT_BYTES) == manifest.files.get(CARD_PATH)
+    return os.path.isfile(card) and sha256(card) == manifest.files.get(CARD_PATH)
 
 
 def _is_inside(name: str) -> bool:

@@ -2,9 +2,9 @@
 copy a part.
 
 LeRobot's ``aggregate_datasets`` needs torch, which making data does not, averages quantiles,
-appends to ever longer videos, of which its reader reads the whole index for every sample, and
-rewrites a file for every source. Its ``delete_episodes`` re-encodes videos and drops our columns of
-the episode table.
+appends to ever longer videos, of which its reader reads the whole index for every sample, rewrites
+a file for every source and drops the privileged tables. So does its ``delete_episodes``, which also
+re-encodes videos and drops our columns of the episode table.
 """
 
 from collections import Counter
@@ -116,7 +116,7 @@ def _assemble(
     all.
     """
     first = sources[0][0]
-    columns, options = first.array_features, {"limits": limits, "features": first.features}
+    columns, options = first.privileged.features, {"limits": limits, "features": first.features}
     # an OSError is of the folder that is written
     with (
         reading(first.root, OSError),
@@ -125,9 +125,9 @@ def _assemble(
     ):
         for store, kept in sources:
             opened: dict[str, Opened] = {}
-            for index, (row, table) in enumerate(store.stored_episodes()):
+            for index, stored in enumerate(store.stored_episodes()):
                 if kept is None or index in kept:
-                    writer.copy(store, row, table, episode_packets(store, row, opened))
+                    writer.copy(store, stored, episode_packets(store, stored.row, opened))
         return writer.finish(provenance, yields)
 
 
@@ -143,7 +143,7 @@ def episode_packets(
         ValueError: if a file is shorter than the row says.
     """
     found = {}
-    for key in store.image_keys if store.has_video else []:
+    for key in store.video_keys:
         path, start = (
             store.video_path(row, key),
             round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ),
@@ -158,5 +158,5 @@ def episode_packets(
 
 
 def _columns(store: Store) -> dict[str, Any]:
-    """Return what is known of the columns of both tables, by key."""
-    return store.features | {feature.key: feature for feature in store.array_features}
+    """Return what is known of the columns of all tables, by key."""
+    return store.features | {feature.key: feature for feature in store.privileged.features}

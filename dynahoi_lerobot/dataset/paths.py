@@ -11,6 +11,12 @@ ROBOT_TYPE = "dynahoi_hand"
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 EPISODES_PATH = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+PRIVILEGED_PATH = "meta/privileged/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+PRIVILEGED_EPISODES_PATH = (
+    "meta/privileged_episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+)
+"""Ours; LeRobot fetches them with the rest of ``meta/``, does not read them, and drops them when it
+edits."""
 TASKS_PATH = "meta/tasks.parquet"
 INFO_PATH = "meta/info.json"
 STATS_PATH = "meta/stats.json"

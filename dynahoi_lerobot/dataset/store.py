@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,15 +13,9 @@ import pyarrow as pa
 
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import (
-    CAMERA_KEY,
-    EPISODE_TABLE_PREFIX,
     IMAGE_PREFIX,
-    Feature,
-    episode_features,
 )
 from dynahoi_lerobot.core.reading import (
-    TABLE_BYTES,
-    TEXT_BYTES,
     ReadError,
     fits,
     open_table,
@@ -36,11 +30,21 @@ from dynahoi_lerobot.dataset.columns import (
     column_array,
     content_values,
     image_keys,
+    numeric_columns,
     numeric_keys,
     read_png,
+    video_keys,
 )
-from dynahoi_lerobot.dataset.episode_table import EpisodeRow, fits_column, own_values, row_schema
+from dynahoi_lerobot.dataset.episode_table import (
+    STATS_PREFIX,
+    EpisodeRow,
+    fits_column,
+    own_values,
+    row_schema,
+)  # fmt: skip
+from dynahoi_lerobot.dataset.manifest import check_schema
 from dynahoi_lerobot.dataset.paths import DATA_PATH, INFO_PATH, TASKS_PATH, VIDEO_PATH, check_root
+from dynahoi_lerobot.dataset.privileged import Privileged, PrivilegedTables
 from dynahoi_lerobot.dataset.video import Encoding, decode
 
 if TYPE_CHECKING:
@@ -100,11 +104,13 @@ def read_episodes(
 
     Raises:
         IndexError: if the dataset has no episode of an index.
+        ReadError: if a file is missing or damaged, as after an edit by LeRobot's tools, which drop
+            the privileged tables.
     """
     store = Store(root)
-    chosen = ((row := store.row(index), store.frames(row)) for index in indices or ())
-    for row, table in store.stored_episodes() if indices is None else chosen:
-        yield store.as_episode(row, table, images=images)
+    chosen = (store.stored(index) for index in indices or ())
+    for stored in store.stored_episodes() if indices is None else chosen:
+        yield store.as_episode(stored, images=images)
 
 
 def frame_column(root: Path, key: str) -> np.ndarray:
@@ -114,13 +120,13 @@ def frame_column(root: Path, key: str) -> np.ndarray:
     This is how a policy in training finds what it must not see, such as the target's pose:
     LeRobot's preprocessing passes the ``index`` of a batch's frames on (and their
     ``episode_index``), but drops every column besides observations and actions. Read the column
-    once and look frames up: ``frame_column(root, "target.pose")[index]``. A million frames take a
-    quarter of a second.
+    once and look frames up: ``frame_column(root, "target.pose")[index]``. A million frames take
+    less than half a second.
 
     Args:
         root: the dataset's folder, ``meta.root`` of LeRobot's metadata.
-        key: name of a column of the frame table, or of the episode table with or without its prefix
-            ``stats/``. What has one value per episode is repeated for each of its frames.
+        key: name of a column of the frame table or of the privileged tables. What has one value per
+            episode is repeated for each of its frames.
 
     Returns:
         (N, D) in the column's unit, of its element type.
@@ -139,33 +145,23 @@ def frame_column(root: Path, key: str) -> np.ndarray:
         if not np.array_equal(index[:, 0], np.arange(len(values))):
             raise ValueError(f"{root} holds its frames in another order; see `dynahoi verify`")
         return values
-    feature = store.array_feature(key)
-    if feature is None or feature.per != "frame":
+    feature = store.privileged.feature(key)
+    if feature.per != "frame":
         raise ValueError(f"{root} has no column {key!r} with a row per frame")
-    lengths = np.concatenate(
-        [store.table(path, ["length"])["length"].to_numpy() for path in store.row_files()]
-    )
-    values = episode_column(root, key)
-    rows = (
-        np.repeat(values, lengths, axis=0) if feature.constant else np.concatenate(values)
-    )  # (N, D)
-    if len(rows) != lengths.sum():
-        raise ValueError(
-            f"{root} has {len(rows)} rows of {key!r} for {lengths.sum()} frames; see `dynahoi "
-            f"verify`"
-        )
-    return rows
+    if feature.by_frame:
+        return store.privileged.rows(feature)
+    return np.repeat(episode_column(root, key), store.lengths, axis=0)
 
 
 def episode_column(root: Path, key: str) -> list[np.ndarray]:
-    """Return an array of the episode table, one item an episode: item i belongs to
-    ``episode_index`` i.
+    """Return a privileged array, one item an episode: item i belongs to ``episode_index`` i.
 
     Unlike ``frame_column``, it also reads arrays whose number of rows is not the number of frames,
     such as ``target_path``: the target's untouched path, beyond the end of the recording.
 
     Args:
-        root, key: as ``frame_column`` takes them.
+        root: the dataset's folder.
+        key: name of a column of the privileged tables.
 
     Returns:
         Per episode (D,) what is constant, else (rows, D), in the column's unit, of its element
@@ -173,19 +169,28 @@ def episode_column(root: Path, key: str) -> list[np.ndarray]:
 
     Raises:
         FileNotFoundError: if ``root`` holds no dataset.
-        ValueError: if the episode table has no such array.
+        ValueError: if the dataset has no such array.
     """
     store = Store(root)
-    feature = store.array_feature(key)
-    if feature is None:
-        raise ValueError(f"{root} has no array {key!r} in its episode table")
-    shape = feature.column_shape if feature.constant else (-1, *feature.column_shape)
-    cells = [
-        cell
-        for path in store.row_files()
-        for cell in store.table(path, [feature.key])[feature.key].to_numpy()
-    ]
-    return [np.asarray(cell, feature.dtype).reshape(shape) for cell in cells]
+    feature = store.privileged.feature(key)
+    if feature.by_frame:
+        return np.split(store.privileged.rows(feature), np.cumsum(store.lengths)[:-1])
+    return store.privileged.cells(feature)
+
+
+@dataclass(frozen=True)
+class StoredEpisode:
+    """One episode as the tables hold it.
+
+    Attributes:
+        row: its row of the episode table, with all columns.
+        frames: its rows of the frame table.
+        privileged: its rows of the privileged tables.
+    """
+
+    row: EpisodeRow
+    frames: pa.Table
+    privileged: Privileged
 
 
 class Store:
@@ -199,7 +204,10 @@ class Store:
 
     @cached_property
     def info(self) -> dict[str, Any]:
-        """The content of ``info.json``; ValueError if it is damaged."""
+        """The content of ``info.json``; ValueError if it is damaged, or the manifest names another
+        schema than the one that is read here.
+        """
+        check_schema(self.root)
         info = read_object(path := self.root / INFO_PATH, {"features": dict[str, dict[str, Any]]})
         for key, entry in info["features"].items():
             if "/" in key or not fits(
@@ -227,10 +235,10 @@ class Store:
                 raise ReadError(
                     f"{self.root / INFO_PATH} says {name} is {told!r}; it must be {usual!r}"
                 )
-        for path in [self.root / TASKS_PATH, *self.row_files(), *self.data_files()]:
+        for path in self.tables():
             open_table(path).close()
         for path in (self.root / "meta").glob("*.json"):
-            regular(path, TEXT_BYTES)
+            regular(path)
         for path in self.root.glob("videos/*/*/*"):
             regular(path)
         if (told := sum(row["length"] for row in self.rows)) != self.frame_count:
@@ -242,7 +250,7 @@ class Store:
     @cached_property
     def frame_count(self) -> int:
         """Number of rows of the frame table."""
-        return sum(open_table(path, ()).metadata.num_rows for path in self.data_files())
+        return sum(open_table(path).metadata.num_rows for path in self.data_files())
 
     @property
     def features(self) -> Features:
@@ -255,16 +263,16 @@ class Store:
         return image_keys(self.features)
 
     @property
-    def has_video(self) -> bool:
-        """Whether images are stored as video."""
-        return self.features.get(CAMERA_KEY, {}).get("dtype") == "video"
+    def video_keys(self) -> list[str]:
+        """The keys of the images that are stored as video."""
+        return video_keys(self.features)
 
     @property
     def encoding(self) -> Encoding:
         """How images are stored, as the feature table records it; as video where there are none."""
-        if not self.image_keys or not self.has_video:
+        if not self.video_keys:
             return Encoding("images" if self.image_keys else "h264")
-        info = self.features[self.image_keys[0]]["info"]
+        info = self.features[self.video_keys[0]]["info"]
         return Encoding("h264", info["video.crf"], info["video.preset"], info["video.g"])
 
     @cached_property
@@ -280,14 +288,16 @@ class Store:
             ValueError: if a file of it is damaged, or there is none.
         """
         rows: list[EpisodeRow] = []
-        wanted, cells = row_schema(self.features, episode_features()), 0
+        wanted, cells = row_schema(self.features), 0
         for path in self.row_files():
-            file = open_table(path, ())
+            file = open_table(path)
             held = {field.name: field.type for field in file.schema_arrow}
+            if "tasks" not in held:  # LeRobot's convert_image_to_video leaves it out
+                raise ReadError(f"{path} has no column 'tasks'")
             for name, kind in held.items():
                 if name in wanted.names and not fits_column(kind, told := wanted.field(name).type):
                     raise ReadError(f"{path} has a column {name} of type {kind}; it must be {told}")
-            names = [name for name in held if not name.startswith(EPISODE_TABLE_PREFIX)]
+            names = [name for name in held if not name.startswith(STATS_PREFIX)]
             names = [
                 name for name in names if name in wanted.names or not pa.types.is_nested(held[name])
             ]
@@ -329,17 +339,12 @@ class Store:
         return self._files("meta/episodes", "episode table")
 
     @property
-    def array_features(self) -> list[Feature]:
-        """Our arrays that the episode table holds."""
-        names = open_table(self.row_files()[0], ()).schema_arrow.names
-        return [feature for feature in episode_features() if feature.key in names]
-
-    def array_feature(self, key: str) -> Feature | None:
-        """Return one of ``array_features`` by its key, with or without the prefix; None if there is
-        none.
+    def lengths(self) -> np.ndarray:
+        """Number of frames of each episode, (E,), as the episode table says: the frames need not be
+        here, as where LeRobot fetches some episodes, or streams them.
         """
-        name = EPISODE_TABLE_PREFIX + key.removeprefix(EPISODE_TABLE_PREFIX)
-        return next((feature for feature in self.array_features if feature.key == name), None)
+        (lengths,) = numeric_columns(self.row_files(), ["length"])
+        return lengths[:, 0]
 
     def data_files(self) -> list[Path]:
         """Return the files of the frame table, in order; ValueError if there are none."""
@@ -349,6 +354,18 @@ class Store:
         if not (paths := sorted((self.root / folder).glob("*/*.parquet"))):
             raise ValueError(f"{self.root} holds no {table}: there is no file in {folder}")
         return paths
+
+    def tables(self) -> list[Path]:
+        """Return the files of all tables; ValueError if LeRobot has no episodes or frames to
+        read.
+        """
+        lerobots = [self.root / TASKS_PATH, *self.row_files(), *self.data_files()]
+        return lerobots + [path for files in self.privileged.files() for path in files]
+
+    @cached_property
+    def privileged(self) -> PrivilegedTables:
+        """The privileged tables."""
+        return PrivilegedTables(self.root, lambda: self.lengths)
 
     def table(
         self, path: Path, columns: list[str] | None = None, episode: int | None = None
@@ -398,14 +415,14 @@ class Store:
 
     def images(self, row: EpisodeRow, table: pa.Table, key: str) -> np.ndarray:
         """Return the episode's images of a view, (T, H, W, 3) uint8 RGB."""
-        with reading(path := self.video_path(row, key) if self.has_video else self.data_path(row)):
-            if math.prod(shape := (row["length"], *self.features[key]["shape"])) > TABLE_BYTES:
-                raise ValueError(f"images of shape {shape} take more than {TABLE_BYTES} bytes")
-            if self.has_video:
+        is_video = key in self.video_keys
+        with reading(path := self.video_path(row, key) if is_video else self.data_path(row)):
+            if is_video:
                 start = round(row[f"videos/{key}/from_timestamp"] * self.fps)
                 shown = decode(path, start, start + row["length"])
             else:
                 shown = (read_png(cell) for cell in table[key].to_pylist())
+            shape = (row["length"], *self.features[key]["shape"])
             images = np.empty(shape, np.uint8)
             for place, image in zip(range(row["length"]), shown, strict=True):
                 if image.shape != shape[1:]:
@@ -425,22 +442,38 @@ class Store:
                 return found.to_pylist()[0]
         raise IndexError(f"{self.root} holds no row of episode {index}")
 
-    def as_episode(self, row: EpisodeRow, table: pa.Table, *, images: bool) -> Episode:
-        """Return the episode of a row with all its columns and of its frames."""
-        keys = self.image_keys if images else []
-        views = {key.removeprefix(IMAGE_PREFIX): self.images(row, table, key) for key in keys}
-        with reading(self.root):
-            return Episode(images=views, **own_values(row), **content_values(table, self.features))
+    def stored(self, index: int) -> StoredEpisode:
+        """Return an episode as the tables hold it; IndexError if there is no such episode."""
+        row = self.row(index)
+        return StoredEpisode(row, self.frames(row), self.privileged.episode(index))
 
-    def stored_episodes(self) -> Iterator[tuple[EpisodeRow, pa.Table]]:
-        """Yield every episode's full row and its frames; each file is read once.
+    def as_episode(self, stored: StoredEpisode, *, images: bool) -> Episode:
+        """Return the Episode that the tables hold, with its images or without."""
+        keys = self.image_keys if images else []
+        views = {
+            key.removeprefix(IMAGE_PREFIX): self.images(stored.row, stored.frames, key)
+            for key in keys
+        }
+        with reading(self.root):
+            return Episode(
+                images=views,
+                **own_values(stored.row),
+                **stored.privileged.values(),
+                **content_values(stored.frames, self.features),
+            )
+
+    def stored_episodes(self) -> Iterator[StoredEpisode]:
+        """Yield every episode; each file is read once.
 
         Raises:
             ValueError: if a file is missing or damaged.
         """
+        if not self.rows:  # which are checked
+            return
         path, table, used = Path(), pa.table({}), 0
-        for row in self.full_rows() if self.rows else ():  # which are checked
+        for row, privileged in zip(self.full_rows(), self.privileged.episodes(), strict=True):
             if (holder := self.data_path(row)) != path:
                 path, table, used = holder, self.table(holder), 0
-            yield row, self._own(row, table.slice(used, row["length"]).combine_chunks())
+            own = self._own(row, table.slice(used, row["length"]).combine_chunks())
+            yield StoredEpisode(row, own, privileged)
             used += row["length"]

@@ -31,12 +31,13 @@ from dynahoi_lerobot.dataset.columns import Features
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.dataset.paths import FileLimits
+from dynahoi_lerobot.dataset.privileged import Privileged, schemas
 from dynahoi_lerobot.dataset.statistics import Stats, column_stats, image_stats, pooled, table_stats
-from dynahoi_lerobot.dataset.store import Store, frame_column
+from dynahoi_lerobot.dataset.store import Store, StoredEpisode, frame_column
 from dynahoi_lerobot.dataset.video import Encoding, VideoFile, copied_stream, encode, encoded_stream
 
-MIB = 1 << 20
 FLUSH_ROWS = 256
+MIB = 2**20
 
 
 def write_episodes(
@@ -132,7 +133,7 @@ class DatasetWriter:
             limits: file size limits.
             subtasks: whether to write subtasks as LeRobot's column for language.
             features: ``info.json``'s feature table of the datasets whose episodes are copied; with
-                it, ``columns`` need only be those of the episode table.
+                it, ``columns`` need only be the privileged ones.
 
         Raises:
             FileExistsError: if ``root`` exists.
@@ -151,11 +152,17 @@ class DatasetWriter:
         self.episodes = self.frames = 0
         self._schema = frame_table.arrow_schema(self.features)
         self._data = _Tables(root, paths.DATA_PATH, self._schema, self.limits)
-        row_schema = episode_table.row_schema(self.features, columns)
+        row_schema = episode_table.row_schema(self.features)
         self._rows = _Tables(root, paths.EPISODES_PATH, row_schema, self.limits)
-        self._pending: list[EpisodeRow] = []
+        by_frame, by_episode = schemas(columns)
+        self._privileged = _Tables(root, paths.PRIVILEGED_PATH, by_frame, self.limits)
+        self._privileged_episodes = _Tables(
+            root, paths.PRIVILEGED_EPISODES_PATH, by_episode, self.limits
+        )
+        self._pending: list[tuple[EpisodeRow, Privileged]] = []
         self._tasks: dict[str, int] = {}
         self._image_keys = frame_table.image_keys(self.features)
+        self._video_keys = frame_table.video_keys(self.features)
         self._image_stats: dict[str, list[Stats]] = {key: [] for key in self._image_keys}
         self._videos: dict[str, VideoFile] = {}
         """The file of each view that is being written; all of them begin and end with the same
@@ -173,46 +180,46 @@ class DatasetWriter:
         check_fits(episode, self._columns)
         images = {IMAGE_PREFIX + view: frames for view, frames in episode.images.items()}
         arrays = frame_table.content_arrays(episode, self._columns)
-        row = episode_table.own_columns(episode, self._columns) | {
+        row = episode_table.own_columns(episode) | {
             "tasks": [episode.meta.task],
             "length": len(episode),
         }
         stats = table_stats(arrays) | {key: image_stats(images[key]) for key in self._image_keys}
         row |= episode_table.stats_columns(stats)
         if packets is None:
-            packets = (
-                {key: encode(images[key], self._encoding) for key in images}
-                if self._encoding.is_video
-                else {}
-            )
+            packets = {key: encode(images[key], self._encoding) for key in self._video_keys}
         size = max((frames.shape[1] for frames in images.values()), default=0)
         stream = partial(encoded_stream, encoding=self._encoding, image_size=size)
         self._append(
-            row, frame_table.frame_columns(episode, arrays, self._schema), packets, lambda _: stream
+            row,
+            frame_table.frame_columns(episode, arrays, self._schema),
+            Privileged.of(episode, self._columns),
+            packets,
+            lambda _: stream,
         )
 
-    def copy(
-        self, store: Store, row: EpisodeRow, table: pa.Table, packets: dict[str, list[Packet]]
-    ) -> None:
+    def copy(self, store: Store, stored: StoredEpisode, packets: dict[str, list[Packet]]) -> None:
         """Append one episode that another dataset of the same features holds, without decoding or
         encoding images.
 
-        ``row`` is its full row, ``table`` its frames, and ``packets`` are those of each view, none
-        without video.
+        ``packets`` are those of each view, none without video.
 
         Raises:
             TypeError, ValueError: if the row lacks a fact, or a value has the wrong type.
         """
+        table = stored.frames
         columns = {name: table[name].combine_chunks() for name in table.column_names}
-        own = episode_table.without_place(row)
+        own = episode_table.without_place(stored.row)
         require(own, episode_table.FACT_TYPES)
         for key in frame_table.numeric_keys(self.features):
             frame_table.column_array(table, key)
+        stored.privileged.values()
         self._append(
             own,
             columns,
+            stored.privileged,
             packets,
-            lambda key: partial(copied_stream, path=store.video_path(row, key)),
+            lambda key: partial(copied_stream, path=store.video_path(stored.row, key)),
         )
 
     def finish(
@@ -228,8 +235,9 @@ class DatasetWriter:
             raise ValueError("no episode was added; a dataset needs at least one")
         self._data.close()
         self._close_videos()
-        self._flush_rows()
-        self._rows.close()
+        self._flush()
+        for tables in (self._rows, self._privileged, self._privileged_episodes):
+            tables.close()
         _write_tasks(list(self._tasks), self.root / paths.TASKS_PATH)
         paths.write_json(self._info(), self.root / paths.INFO_PATH)
         stats = self._stats()
@@ -260,11 +268,12 @@ class DatasetWriter:
         self,
         row: EpisodeRow,
         columns: dict[str, pa.Array],
+        privileged: Privileged,
         packets: dict[str, list[Packet]],
         stream: Callable[[str], Any],
     ) -> None:
-        """Append an episode: its row and its columns without place, its packets, and what opens a
-        video for a view.
+        """Append an episode: its row, columns and privileged rows without place, its packets, and
+        what opens a video for a view.
         """
         place = (
             self.episodes,
@@ -287,11 +296,11 @@ class DatasetWriter:
             row |= self._append_videos(row["length"], packets, stream)
         for key in self._image_keys:
             self._image_stats[key].append(episode_table.row_stats(row, key))
+        self._pending.append((row, privileged.placed(self.episodes)))
         self.episodes += 1
         self.frames += row["length"]
-        self._pending.append(row)
         if len(self._pending) == FLUSH_ROWS:
-            self._flush_rows()
+            self._flush()
 
     def _append_videos(
         self, length: int, packets: dict[str, list[Packet]], stream: Callable[[str], Any]
@@ -333,10 +342,12 @@ class DatasetWriter:
             video.close()
         self._videos = {}
 
-    def _flush_rows(self) -> None:
+    def _flush(self) -> None:
+        """Write the pending episodes' rows of the tables below ``meta/``."""
         if not self._pending:
             return
-        table = pa.Table.from_pylist(self._pending, self._rows.schema)
+        rows, privileged = zip(*self._pending, strict=True)
+        table = pa.Table.from_pylist(rows, self._rows.schema)
         for name, value in zip(
             ("chunk_index", "file_index"), self._rows.place_for(table), strict=True
         ):
@@ -344,6 +355,15 @@ class DatasetWriter:
             cells = pa.array([value] * len(table), pa.int64())
             table = table.set_column(position, self._rows.schema.field(position), cells)
         self._rows.append(table)
+        for tables, parts in (
+            (self._privileged, [part.frames for part in privileged]),
+            (self._privileged_episodes, [part.episode for part in privileged]),
+        ):
+            schema = tables.schema
+            table = pa.concat_tables(part.select(schema.names).cast(schema) for part in parts)
+            table = table.combine_chunks()
+            tables.place_for(table)
+            tables.append(table)
         self._pending.clear()
 
     def _stats(self) -> dict[str, Stats]:
@@ -357,7 +377,6 @@ class DatasetWriter:
         return stats
 
     def _info(self) -> dict[str, Any]:
-        has_video = any(feature["dtype"] == "video" for feature in self.features.values())
         return {
             "codebase_version": paths.CODEBASE_VERSION,
             "fps": CONTROL_HZ,
@@ -369,7 +388,7 @@ class DatasetWriter:
             "data_files_size_in_mb": self.limits.data_mb,
             "video_files_size_in_mb": self.limits.video_mb,
             "data_path": paths.DATA_PATH,
-            "video_path": paths.VIDEO_PATH if has_video else None,
+            "video_path": paths.VIDEO_PATH if self._video_keys else None,
             "robot_type": paths.ROBOT_TYPE,
             "splits": {"train": f"0:{self.episodes}"},
         }

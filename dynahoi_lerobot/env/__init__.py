@@ -1,4 +1,9 @@
-"""The Gymnasium environments ``DynahoiVectorEnv`` (native, N worlds) and ``DynahoiEnv`` (one)."""
+"""The Gymnasium environments ``DynahoiVectorEnv`` (native, N worlds) and ``DynahoiEnv`` (one).
+
+Importing this package registers the ids ``dynahoi/all-v0`` and ``dynahoi/<kind>-v0`` for every
+kind of motion. ``gym.make("dynahoi_lerobot.env:dynahoi/all-v0")`` imports it. Held-out kinds play
+split ``ood_motion``, all others ``test``.
+"""
 
 import gymnasium as gym
 
@@ -6,22 +11,14 @@ from dynahoi_lerobot.env.vector_env import DynahoiEnv, DynahoiVectorEnv
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 
-__all__ = ["DynahoiEnv", "DynahoiVectorEnv", "register_envs"]
+__all__ = ["DynahoiEnv", "DynahoiVectorEnv"]
 
 
-def register_envs() -> None:
-    """Register ``dynahoi/<kind>-v0`` for every registered motion, and ``dynahoi/all-v0``; only
-    once.
-
-    Held-out kinds play split ``ood_motion``, all others ``test``.
-    """
-    held_out = BENCHMARK.splits["ood_motion"].motions
-    for kind in (None, *MOTIONS.names()):
-        gym_id = f"dynahoi/{kind or 'all'}-v0"
-        if gym_id not in gym.registry:
-            gym.register(
-                gym_id,
-                entry_point="dynahoi_lerobot.env:DynahoiEnv",
-                vector_entry_point="dynahoi_lerobot.env:DynahoiVectorEnv",
-                kwargs={"kind": kind, "split": "ood_motion" if kind in held_out else "test"},
-            )
+for _kind in (None, *MOTIONS.names()):
+    _split = "ood_motion" if _kind in BENCHMARK.splits["ood_motion"].motions else "test"
+    gym.register(
+        f"dynahoi/{_kind or 'all'}-v0",
+        entry_point="dynahoi_lerobot.env:DynahoiEnv",
+        vector_entry_point="dynahoi_lerobot.env:DynahoiVectorEnv",
+        kwargs={"kind": _kind, "split": _split},
+    )

@@ -19,15 +19,15 @@ from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.core.conventions import CONTROL_HZ, EGO_VIEW, FINGER_DOF, PALM_DOF, SEED_LIMIT
 from dynahoi_lerobot.core.episode import Episode, closure, potential
 from dynahoi_lerobot.core.features import Feature, as_gym
-from dynahoi_lerobot.core.nested import changed
+from dynahoi_lerobot.core.nested import changed, field_names
 from dynahoi_lerobot.core.protocols import is_acting
 from dynahoi_lerobot.core.registry import known
-from dynahoi_lerobot.metrics import measure
+from dynahoi_lerobot.metrics import METRICS, measure
 from dynahoi_lerobot.rollout.inference import StepwiseInference
 from dynahoi_lerobot.rollout.loop import Session
 from dynahoi_lerobot.rollout.recorder import Job
+from dynahoi_lerobot.sampling.ahead import SpecsAhead
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.splits import kind_seed
 from dynahoi_lerobot.world.batch import WorldBatch
 
@@ -87,16 +87,16 @@ class DynahoiVectorEnv(VectorEnv):
         info has ``final_obs`` and ``final_info`` of the episode that ended (``SAME_STEP``); or the
         world stands still, black in images, until a reset (``DISABLED``).
     Info:
-        ``is_success`` (N,) bool at every step; when an episode ends also every metric by name, (N,)
-        float64, with its mask ``_<name>``: NaN and False where no episode ends, or where the
-        metric does not apply.
+        At every step and reset ``is_success`` (N,) bool and every metric by name, (N,) float64,
+        with its mask ``_<name>``: NaN and False where no episode ends, where ``max_episode_steps``
+        cuts it short, or where the metric does not apply.
     Options:
         ``reset(options={"lerobot_new_rollout": True})`` plays one episode in every world, then
         waits for a reset. ``reset(options={"reset_mask": mask})`` begins episodes in the worlds of
         ``mask`` (N,) bool alone.
 
     Copies (``pickle``, ``deepcopy``) are constructed anew from the same arguments and need a reset.
-    Attributes are ``recipe``, ``kind``, ``reward`` and ``autoreset_mode``.
+    Attributes are ``recipe``, ``kind``, ``episodes``, ``reward`` and ``autoreset_mode``.
     """
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": CONTROL_HZ}  # noqa: RUF012 - gymnasium's convention
@@ -107,12 +107,14 @@ class DynahoiVectorEnv(VectorEnv):
         *,
         recipe: Recipe = DEFAULT_RECIPE,
         kind: str | None = None,
+        episodes: int | None = None,
         reward: str = SPARSE,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         threads: int = 0,
         render_mode: str | None = "rgb_array",
         on_episode: Callable[[Episode], None] | None = None,
         inference: StepwiseInference | None = None,
+        max_episode_steps: int | None = None,
         **fields: Any,
     ) -> None:
         """Allocate ``num_envs`` worlds that play episodes of a recipe.
@@ -121,6 +123,8 @@ class DynahoiVectorEnv(VectorEnv):
             num_envs: N.
             recipe: the episodes; by default those of split ``test`` under the default rules.
             kind: play this kind of motion only; None for all of the recipe.
+            episodes: play the first so many episodes (of the kind) over and over, each of which is
+                drawn once; None for all.
             reward: one of ``REWARDS``.
             autoreset_mode: gymnasium's, or the value of one, such as ``SameStep``; see the class.
             threads: for physics; 0 for all cores.
@@ -129,19 +133,32 @@ class DynahoiVectorEnv(VectorEnv):
             inference: timing of a policy whose inferences take time, for this env alone. A step is
                 then one call of the policy: some calls only fetch more of a chunk, return the same
                 observation and advance no world.
+            max_episode_steps: truncate every episode after so many steps, if it has not ended
+                before; what is cut short is not measured.
             fields: fields of the recipe or its rules to change, such as ``split="val"`` or
                 ``image_size=96``; see ``Recipe`` and ``Rules``.
 
         Raises:
+            TypeError: for a keyword that is neither an argument nor a field.
             ValueError: for an unknown name or a value out of range, naming those allowed.
         """
+        unknown = fields.keys() - set(field_names(Recipe))
+        if unknown:
+            raise TypeError(
+                f"{type(self).__name__} got an unexpected keyword argument {min(unknown)!r}; "
+                f"fields of the recipe: {', '.join(field_names(Recipe))}"
+            )
+        if max_episode_steps is not None and max_episode_steps < 1:
+            raise ValueError(f"max_episode_steps must be at least 1, got {max_episode_steps}")
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise ValueError(
                 f"unknown render mode {render_mode!r}; known: {', '.join(RENDER_MODES)}, or None"
             )
         known("reward", reward, REWARDS)
         self.num_envs, self.render_mode = num_envs, render_mode
-        self.kind, self.reward = kind, reward
+        if episodes is not None and episodes < 1:
+            raise ValueError(f"episodes must be at least 1, or None for all, got {episodes}")
+        self.kind, self.episodes, self.reward = kind, episodes, reward
         self.recipe = changed(recipe, fields)
         if kind is not None and kind not in self.recipe.motion_names:
             self.recipe = replace(self.recipe, motions=(kind,))
@@ -156,6 +173,8 @@ class DynahoiVectorEnv(VectorEnv):
         )
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
         self._threads, self._on_episode, self._inference = threads, on_episode, inference
+        self._step_limit = max_episode_steps
+        self._specs = SpecsAhead(self.recipe, threads=threads, keep=episodes is not None)
         self._batch = WorldBatch(rules, num_envs, threads)
         self._session = Session(self._batch, record_images=False)
         self.single_observation_space = observation_space(rules.features)
@@ -164,6 +183,7 @@ class DynahoiVectorEnv(VectorEnv):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._numbers = np.zeros(num_envs, int)  # of the episodes, within split and kind
         self._max_frames = np.zeros(num_envs, int)  # of each world's episode
+        self._cut = np.zeros(num_envs, bool)  # whether ``max_episode_steps`` shortens it
         self._success, self._ended = np.zeros((2, num_envs), bool)
         self._potential = np.zeros(num_envs)  # at the last frame, for ``DENSE``
         self._one_episode = False
@@ -209,7 +229,7 @@ class DynahoiVectorEnv(VectorEnv):
             self._inference.reset()
         self._begin(np.flatnonzero(mask))
         self._ended[mask] = False
-        return as_gym(self._session.observe()), {"is_success": self._success.copy()}
+        return as_gym(self._session.observe()), self._unmeasured()
 
     def step(
         self, actions: np.ndarray
@@ -237,13 +257,13 @@ class DynahoiVectorEnv(VectorEnv):
             due = self._inference.answer(commands, before.state.astype(np.float64))
             if due is None:
                 terminated, truncated = np.zeros((2, self.num_envs), bool)
-                infos = {"is_success": self._success.copy()}
-                return as_gym(before), np.zeros(self.num_envs), terminated, truncated, infos
+                rewards = np.zeros(self.num_envs)
+                return as_gym(before), rewards, terminated, truncated, self._unmeasured()
             actions = due
         terminated, truncated = self._session.step(actions)
         ending = terminated | truncated
         succeeded_before = self._success.copy()
-        infos = self._infos(ending)
+        infos = self._infos(ending, truncated & self._cut)
         rewards = self._rewards(is_acting(before.phase), ending, succeeded_before)
         if self._one_episode:
             restarting = np.zeros(self.num_envs, bool)
@@ -271,6 +291,10 @@ class DynahoiVectorEnv(VectorEnv):
         """
         images = self._observed().images
         return tuple(images[EGO_VIEW] if images else self._batch.cameras.render())
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Stop drawing episodes."""
+        self._specs.close()
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """Return attribute ``name`` of every world, called if it is callable, like gymnasium's
@@ -306,9 +330,12 @@ class DynahoiVectorEnv(VectorEnv):
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what a copy is made from: the constructor's arguments and gymnasium's ``spec``."""
-        names = ("num_envs", "recipe", "kind", "reward", "render_mode", "autoreset_mode")
+        names = (
+            "num_envs", "recipe", "kind", "episodes", "reward", "render_mode", "autoreset_mode",
+        )  # fmt: skip
         arguments: dict[str, Any] = {name: getattr(self, name) for name in names}
         arguments |= {"threads": self._threads, "on_episode": self._on_episode}
+        arguments["max_episode_steps"] = self._step_limit
         return {
             "arguments": arguments | {"inference": copy.deepcopy(self._inference)},
             "spec": self.spec,
@@ -361,29 +388,46 @@ class DynahoiVectorEnv(VectorEnv):
 
     def _begin(self, ids: np.ndarray) -> None:
         """Begin the evaluation of episode ``self._numbers[i]`` in each world ``i`` of ``ids``."""
-        seeds = [kind_seed(self.recipe, self.kind, int(self._numbers[i])) for i in ids]
-        specs = sample_specs(self.recipe, seeds, threads=max(1, self._threads))
+        specs = self._specs.take(self._seeds(self._numbers[ids]))
+        if not self._one_episode:
+            self._specs.prepare(self._seeds((self._numbers + self.num_envs) % SEED_LIMIT))
         jobs = [Job.evaluation(int(i), spec) for i, spec in zip(ids, specs, strict=True)]
+        limit = self._step_limit or np.inf
+        self._cut[ids] = [limit < job.frames for job in jobs]
+        jobs = [replace(job, frames=int(min(job.frames, limit))) for job in jobs]
         self._session.begin(ids, jobs)
         self._max_frames[ids], self._success[ids] = [job.frames for job in jobs], False
         self._potential = self._measured_potential()
 
-    def _infos(self, ending: np.ndarray) -> dict[str, Any]:
-        """Finish the episodes of worlds ``ending`` (N,) bool; return the step's infos, see the
-        class.
+    def _seeds(self, numbers: np.ndarray) -> list[int]:
+        """Return the seeds of (n,) episodes, by their numbers."""
+        within = numbers if self.episodes is None else numbers % self.episodes
+        return [kind_seed(self.recipe, self.kind, number) for number in within.tolist()]
+
+    def _infos(self, ending: np.ndarray, cut: np.ndarray) -> dict[str, Any]:
+        """Finish the episodes of worlds ``ending`` (N,) bool and measure those that were not
+        ``cut`` (N,) bool; return the step's infos, see the class.
         """
         for i in self._session.playing:
             self._success[i] = self._session.success(int(i))
-        infos: dict[str, Any] = {"is_success": self._success.copy()}
+        infos = self._unmeasured()
         for i in np.flatnonzero(ending):
             episode = self._session.finish(int(i), "policy")
+            if cut[i]:
+                continue
             if self._on_episode is not None:
                 self._on_episode(episode)
             for name, value in measure(episode).items():
-                column = infos.setdefault(name, np.full(self.num_envs, np.nan))
-                mask = infos.setdefault("_" + name, np.zeros(self.num_envs, bool))
-                column[i] = np.nan if value is None else value
-                mask[i] = value is not None
+                infos[name][i] = np.nan if value is None else value
+                infos["_" + name][i] = value is not None
+        return infos
+
+    def _unmeasured(self) -> dict[str, np.ndarray]:
+        """Return the infos of a step with which no episode ends, see the class."""
+        infos: dict[str, np.ndarray] = {"is_success": self._success.copy()}
+        for name in METRICS.names():
+            infos[name] = np.full(self.num_envs, np.nan)
+            infos["_" + name] = np.zeros(self.num_envs, bool)
         return infos
 
     def _final(self, infos: dict[str, Any], ending: np.ndarray) -> dict[str, Any]:
@@ -395,7 +439,7 @@ class DynahoiVectorEnv(VectorEnv):
         for i in np.flatnonzero(ending):
             observations[i] = _of_world(last, i)
         final = infos | {"_is_success": ending}
-        return {
+        return self._unmeasured() | {
             "final_obs": observations,
             "_final_obs": ending,
             "final_info": final,
@@ -433,10 +477,10 @@ class DynahoiEnv(gym.Env):
     and autoreset.
 
     Description, observation, action, reward, episode end and options are those of
-    ``DynahoiVectorEnv``. Info has the same names, with Python's own scalars, but for metrics that
-    do not apply. After the end of an episode the world stands still until ``reset``. Copies
-    (``pickle``, ``deepcopy``) have the same constructor arguments and begin before their first
-    reset.
+    ``DynahoiVectorEnv``. Info has the same names without the masks, with Python's own scalars; a
+    metric is 0 before the end of the episode, and then NaN where it does not apply. After the end
+    of an episode the world stands still until ``reset``. Copies (``pickle``, ``deepcopy``) have the
+    same constructor arguments and begin before their first reset.
     """
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": CONTROL_HZ}  # noqa: RUF012 - gymnasium's convention
@@ -444,8 +488,7 @@ class DynahoiEnv(gym.Env):
     def __init__(self, render_mode: str | None = None, **options: Any) -> None:
         """Take the keyword arguments of ``DynahoiVectorEnv`` besides ``num_envs``.
 
-        Raises:
-            ValueError: for an unknown render mode or an unknown name, naming those there are.
+        Raises what ``DynahoiVectorEnv`` raises.
         """
         self._options = {"render_mode": render_mode, **options}
         self._vector = DynahoiVectorEnv(1, **self._options)
@@ -469,7 +512,7 @@ class DynahoiEnv(gym.Env):
         if number is None:
             number = int(self.np_random.integers(0, RANDOM_SEED_LIMIT))
         observation, infos = self._vector.reset(seed=[number], options={ONE_EPISODE_OPTION: True})
-        return _of_world(observation, 0), _scalars(infos)
+        return _of_world(observation, 0), _scalars(infos, ended=False)
 
     def step(self, action: np.ndarray) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Advance by one frame of 0.05 s.
@@ -488,7 +531,7 @@ class DynahoiEnv(gym.Env):
             float(reward[0]),
             bool(terminated[0]),
             bool(truncated[0]),
-            _scalars(infos),
+            _scalars(infos, ended=bool(terminated[0] or truncated[0])),
         )
 
     def render(self) -> np.ndarray | None:  # type: ignore[override]
@@ -550,10 +593,13 @@ def _of_world(batched: dict[str, Any], i: int) -> dict[str, Any]:
     }
 
 
-def _scalars(infos: dict[str, np.ndarray]) -> dict[str, bool | float]:
-    """Return the infos of one world: no masks, and no metrics that are not a number."""
+def _scalars(infos: dict[str, np.ndarray], *, ended: bool) -> dict[str, bool | float]:
+    """Return the infos of one world without masks; metrics are 0 until its episode has ``ended``.
+
+    Gymnasium's checker compares the infos of two steps, and NaN equals nothing.
+    """
+    names = [name for name in infos if not name.startswith("_")]
     return {
-        name: value[0].item()
-        for name, value in infos.items()
-        if not name.startswith("_") and not np.isnan(value[0])
+        name: infos[name][0].item() if ended or not np.isnan(infos[name][0]) else 0.0
+        for name in names
     }

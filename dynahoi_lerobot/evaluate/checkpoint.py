@@ -22,7 +22,8 @@ from typing import Any, get_type_hints
 
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import DETECTOR_IMAGE_SIZE_PX
+from dynahoi_lerobot.core.conventions import DETECTOR_IMAGE_SIZE_PX, EGO_VIEW
+from dynahoi_lerobot.core.escaping import shortened
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, EYE, IMAGE_PREFIX
 from dynahoi_lerobot.core.reading import (
     ReadError,
@@ -34,11 +35,19 @@ from dynahoi_lerobot.core.reading import (
     sha256,
     tensor_types,
 )  # fmt: skip
+from dynahoi_lerobot.core.registry import suggestion
+from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.renderers.views import OPTIONAL_VIEWS
 from dynahoi_lerobot.rules import Rules
 
 CONFIG, WEIGHTS, TRAINING = "config.json", "model.safetensors", "train_config.json"
 PIPELINES = ("policy_preprocessor.json", "policy_postprocessor.json")
+ADAPTER, ADAPTER_WEIGHTS = "adapter_config.json", "adapter_model.safetensors"
+"""What a folder holds in place of ``WEIGHTS`` if a LoRA adapter was trained (``--peft.*``)."""
+RENAMING = "rename_observations_processor"
+"""The processor step that applies LeRobot's ``--rename_map``."""
+BASE = "base/"
+"""Names of the files of weights of an adapter's base begin so."""
 
 POLICY_TYPES = frozenset(
     {
@@ -64,6 +73,35 @@ STEPS = ("lerobot.policies.", "lerobot.processor.")
 LOADING_STEPS = "lerobot.processor.hil_processor"
 """Modules whose processor steps a checkpoint may name without ``--trust``, and one of which loads a
 second one."""
+ADAPTER_KEYS = frozenset(
+    {
+        "alpha_pattern",
+        "auto_mapping",
+        "base_model_name_or_path",
+        "bias",
+        "exclude_modules",
+        "fan_in_fan_out",
+        "inference_mode",
+        "init_lora_weights",
+        "layers_pattern",
+        "layers_to_transform",
+        "lora_alpha",
+        "lora_bias",
+        "lora_dropout",
+        "modules_to_save",
+        "peft_type",
+        "peft_version",
+        "r",
+        "rank_pattern",
+        "revision",
+        "target_modules",
+        "task_type",
+        "use_dora",
+        "use_rslora",
+    }
+)
+"""Keys of a LoRA adapter's config that say how layers change. Others name modules that PEFT would
+import (``megatron_core``) or files that it would read."""
 LARGEST = {
     "resize|^num_.*step|iterations": 1024,
     "shape|chunk|horizon|samples|n_(obs|action)_steps": 10**4,
@@ -98,6 +136,12 @@ CODE_KEYS = {
 PICKLES = (".bin", ".pt", ".pth", ".pkl", ".ckpt")
 """Suffixes of files that Python unpickles, which runs what they hold; LeRobot's own checkpoints
 have none."""
+CHECKOUT = Path(__file__).parents[2]
+"""Where checkpoints ship, if this package lies in a checkout."""
+ANY_IMAGE = "observation.image"
+"""Keys of a policy's images begin so, whatever their names."""
+VIEW_KEYS = {view: IMAGE_PREFIX + view for view in (EGO_VIEW, *OPTIONAL_VIEWS)}
+"""Keys of the images in datasets and environments, by view."""
 REMEDY = (
     "give a pretrained_model folder, a Hub repository (user/name), or a baseline that "
     "`dynahoi list experts` names"
@@ -110,7 +154,7 @@ class PolicyError(ReadError):
     """
 
 
-def checked_folder(path: str, *, trust: bool = False) -> Path:
+def checked_folder(path: str, *, trust: bool = False, revision: str | None = None) -> Path:
     """Return the folder of a checkpoint, downloaded from the Hub if need be, once nothing in it
     could run code.
 
@@ -120,12 +164,15 @@ def checked_folder(path: str, *, trust: bool = False) -> Path:
     Args:
         path: a ``pretrained_model`` folder, or a Hub repository id.
         trust: print what could run instead of refusing it.
+        revision: of the repository; its newest if None.
+
+    The base of an adapter is checked and downloaded in the same way.
 
     Raises:
         PolicyError: if there is no such policy, a file of it cannot be read, or loading it could
             run code, unless ``trust`` allows that.
     """
-    described = described_folder(path)
+    described = described_folder(path, revision)
     if not (described / CONFIG).exists():
         raise PolicyError(
             f"{described} holds no policy (no {CONFIG}){hint_at_checkpoint(described)}"
@@ -136,12 +183,18 @@ def checked_folder(path: str, *, trust: bool = False) -> Path:
                 f"{finding}; give --trust only if you would run a program from the same source"
             )
         print(f"--trust: {finding}", file=sys.stderr)
+    base = base_folder(described)
+    if base is not None:
+        if (base / ADAPTER).exists():
+            raise PolicyError(f"{described / ADAPTER} adapts {base}, which is an adapter itself")
+        name_of_base, its_revision = _named_base(described)
+        checked_folder(name_of_base, trust=trust, revision=its_revision)
     if os.path.isdir(path):
         return described
     return _download(path, ["*"] if trust else ["*.safetensors"], revision=described.name)
 
 
-def described_folder(path: str) -> Path:
+def described_folder(path: str, revision: str | None = None) -> Path:
     """Return a folder with the JSON files of a checkpoint, of which nothing has been checked.
 
     Raises:
@@ -150,8 +203,48 @@ def described_folder(path: str) -> Path:
     if os.path.isdir(path):
         return Path(path)
     if path.count("/") != 1:
-        raise PolicyError(f"there is no policy {path!r}; {REMEDY}")
-    return _download(path, ["*.json"])
+        hint = suggestion(path, EXPERTS.names())
+        raise PolicyError(f"there is no policy {path!r}{hint}; {REMEDY}")
+    return _download(path, ["*.json"], revision)
+
+
+def base_folder(folder: Path) -> Path | None:
+    """Return the folder of the checkpoint that an adapter in ``folder`` adapts, of which nothing
+    has been checked; None if that holds no adapter.
+
+    Raises:
+        PolicyError: if there is no such checkpoint.
+    """
+    if not (folder / ADAPTER).exists():
+        return None
+    name, revision = _named_base(folder)
+    try:
+        return described_folder(name, revision)
+    except PolicyError as error:
+        raise PolicyError(
+            f"{folder / ADAPTER} adapts {name!r}, which is in neither the current folder nor one "
+            f"above {folder}, and no repository; put the checkpoint there, or its full path into "
+            f"base_model_name_or_path"
+        ) from error
+
+
+def _named_base(folder: Path) -> tuple[str, str | None]:
+    """Return path or repository of the base that an adapter names, and its revision.
+
+    A relative path counts from where the training was started. That is the first of these that has
+    it: the folders above the adapter, the current one, and the checkout, whose checkpoints it may
+    name.
+    """
+    file = folder / ADAPTER
+    told = {"revision": None} | read_object(file)
+    with reading(file):
+        require(told, {"base_model_name_or_path": str | None, "revision": str | None})
+    name = told["base_model_name_or_path"]
+    if not name:
+        raise PolicyError(f"{file} names no base_model_name_or_path, which it adapts")
+    places = [*folder.resolve().parents, Path(), CHECKOUT]
+    found = [str(place / name) for place in places if (place / name / CONFIG).is_file()]
+    return (found[0] if found else name), told["revision"]
 
 
 def load_policy(
@@ -174,8 +267,11 @@ def load_policy(
     with _remote_code(allowed=trust):
         config = _config(folder, settings)
         config.device = device or config.device
-        stored = tensor_types(folder / WEIGHTS)
-        for file in sorted({*folder.glob("*.safetensors")} - {folder / WEIGHTS}):
+        base = base_folder(folder)
+        stored = tensor_types((base or folder) / WEIGHTS)
+        added = {} if base is None else tensor_types(folder / ADAPTER_WEIGHTS)
+        weights = {folder / WEIGHTS, folder / ADAPTER_WEIGHTS}
+        for file in sorted({*folder.glob("*.safetensors")} - weights):
             if odd := [
                 name
                 for name, (kind, _) in tensor_types(file).items()
@@ -186,10 +282,14 @@ def load_policy(
                 )
         overrides = {"device_processor": {"device": str(config.device)}}
         try:
-            with _no_larger(stored):
+            with _no_larger(stored | added):
                 policy = (
-                    get_policy_class(config.type).from_pretrained(str(folder), config=config).eval()
+                    get_policy_class(config.type)
+                    .from_pretrained(str(base or folder), config=config)
+                    .eval()
                 )
+                wanted = policy.state_dict()
+                adapted = {} if base is None else _adapt(policy, folder)
             pipelines = make_pre_post_processors(
                 config, pretrained_path=str(folder), preprocessor_overrides=overrides
             )
@@ -199,24 +299,64 @@ def load_policy(
             Exception
         ) as error:  # whatever a policy or a processor raises when it is made from a bad checkpoint
             raise PolicyError(f"{folder} cannot be loaded: {reason(error)}") from error
-    _check_fit(policy.state_dict(), stored, folder)
+    # a base may hold an average of its weights as well, which an adapter does without
+    _check_fit(wanted, stored, (base or folder) / WEIGHTS, surplus_allowed=base is not None)
+    _check_fit(adapted, added, folder / ADAPTER_WEIGHTS)
     for name, pipeline in zip(PIPELINES, pipelines, strict=True):
         _check_statistics(folder / name, pipeline, config)
     return policy, *pipelines
 
 
+def _adapt(policy: Any, folder: Path) -> dict[str, Any]:
+    """Put the adapter in ``folder`` into a policy's layers; return the adapter's weights as they
+    are stored, by name.
+    """
+    from peft import LoraConfig, PeftModel, get_peft_model_state_dict
+
+    config: Any = LoraConfig.from_pretrained(str(folder))
+    adapted = PeftModel.from_pretrained(policy, str(folder), config=config).eval()
+    policy.reset()  # which may hold a copy of the layers without the adapter
+    return get_peft_model_state_dict(adapted)
+
+
 def folder_weights(folder: Path) -> dict[str, str]:
-    """Return the sha256 of every file of weights in a ``pretrained_model`` folder, by name."""
-    return {path.name: sha256(path) for path in sorted(folder.glob("*.safetensors"))}
+    """Return the sha256 of every file of weights in a ``pretrained_model`` folder, by name, and
+    that of an adapter's base as ``base/NAME``.
+    """
+    base = base_folder(folder)
+    weights = {path.name: sha256(path) for path in sorted(folder.glob("*.safetensors"))}
+    return weights if base is None else weights | {BASE + WEIGHTS: sha256(base / WEIGHTS)}
 
 
-def trained_for(folder: Path) -> dict[str, Any]:
+def renamed(folder: Path) -> dict[str, str]:
+    """Return LeRobot's rename map that a checkpoint was trained with: from the keys of datasets and
+    environments to the policy's own.
+    """
+    file = folder / PIPELINES[0]
+    steps = read_object(file, {"steps": list[dict[str, Any]]})["steps"] if file.exists() else []
+    with reading(file):
+        maps = [
+            (step.get("config") or {}).get("rename_map") or {}
+            for step in steps
+            if step.get("registry_name") == RENAMING
+        ]
+        names = {old: new for one in maps for old, new in one.items()}
+        require({"rename_map": names}, {"rename_map": dict[str, str]})
+    return names
+
+
+def trained_for(folder: Path, names: Mapping[str, str] | None = None) -> dict[str, Any]:
     """Return the values of fields of `Rules` that a checkpoint was trained for, as far as it tells.
 
     They are those that its config holds, or else those of the dataset that ``train_config.json``
     names, if that is on this machine, or else those of its ``env``. What it sees of them its inputs
     say: views, size [px] of the images, and whether it reads an ``environment_state`` at all.
+
+    Args:
+        folder: a ``pretrained_model`` folder.
+        names: the rename map; by default the checkpoint's own, see ``renamed``.
     """
+    names = renamed(folder) if names is None else names
     config = read_object(file) if (file := folder / CONFIG).exists() else {}
     training = read_object(file) if (file := folder / TRAINING).exists() else {}
     with reading(folder / (TRAINING if training else CONFIG)):
@@ -229,12 +369,16 @@ def trained_for(folder: Path) -> dict[str, Any]:
         told = {name: rules[name] for name in hints if rules.get(name) is not None}
         require(told, {name: hints[name] for name in told})
         inputs = config.get("input_features") or {}
-        told["views"] = tuple(view for view in OPTIONAL_VIEWS if IMAGE_PREFIX + view in inputs)
-        cameras = [feature for key, feature in inputs.items() if key.startswith(IMAGE_PREFIX)]
-        if cameras:
-            told["image_size"] = cameras[0]["shape"][-1]
-        else:
+        seen = {key for key in VIEW_KEYS.values() if names.get(key, key) in inputs}
+        told["views"] = tuple(view for view in OPTIONAL_VIEWS if VIEW_KEYS[view] in seen)
+        cameras = [
+            feature for key, feature in inputs.items() if key.startswith("observation.image")
+        ]
+        if not cameras:
             told.pop("image_size", None)
+        elif not (names and "image_size" in told):
+            # a policy that was made for other cameras keeps the shape of theirs, and resizes
+            told["image_size"] = cameras[0]["shape"][-1]
         if ENVIRONMENT_STATE not in inputs:
             told["environment_state"] = ""
         elif told.get("environment_state") == EYE and not cameras:
@@ -293,10 +437,26 @@ def _findings(folder: Path) -> Iterator[str]:
             f"{folder / CONFIG} is of type {kind!r}, which is not on the list of policies "
             f"known to be safe"
         )
+    if (folder / ADAPTER).exists():
+        yield from _adapter_findings(folder / ADAPTER)
     _register_steps(kind)
     for file in (folder / name for name in PIPELINES):
         if file.exists():
             yield from (f"{file} {problem}" for problem in _pipeline_findings(file))
+
+
+def _adapter_findings(file: Path) -> Iterator[str]:
+    """Yield what of an adapter's config could make PEFT import modules or load further files."""
+    try:
+        from peft import LoraConfig
+    except ImportError as error:
+        raise PolicyError(f"playing the adapter {file.parent} needs peft ({error})") from error
+    told, usual = read_object(file), vars(LoraConfig())
+    if told.get("peft_type") != "LORA":
+        yield f"{file} is of type {told.get('peft_type')!r}, not LORA"
+    for key, value in told.items():
+        if key not in ADAPTER_KEYS and value and value != usual.get(key):
+            yield f"{file} sets {key}, which is not one of the keys known to be safe"
 
 
 def _entries(content: Any, key: str = "") -> Iterator[tuple[str, Any]]:
@@ -457,7 +617,11 @@ def _no_larger(stored: Mapping[str, tuple[str, tuple[int, ...]]]) -> Iterator[No
 
 
 def _check_fit(
-    state: Mapping[str, Any], types: Mapping[str, tuple[str, tuple[int, ...]]], folder: Path
+    state: Mapping[str, Any],
+    types: Mapping[str, tuple[str, tuple[int, ...]]],
+    file: Path,
+    *,
+    surplus_allowed: bool = False,
 ) -> None:
     """Refuse weights that are missing, surplus or of another shape or kind; of tied weights a file
     holds one.
@@ -472,7 +636,7 @@ def _check_fit(
         for name, tensor in wanted.items()
         if name not in stored and tensor.data_ptr() not in tied
     ]
-    surplus = [name for name in stored if name not in wanted]
+    surplus = [] if surplus_allowed else [name for name in stored if name not in wanted]
     both = [(name, wanted[name], *stored[name]) for name in stored if name in wanted]
     misshapen = [name for name, tensor, _, shape in both if tuple(tensor.shape) != shape]
     mistyped = [name for name, tensor, kind, _ in both if not _fits_type(tensor, kind)]
@@ -485,8 +649,7 @@ def _check_fit(
     for what, names in wrong.items():
         if names:
             raise PolicyError(
-                f"{folder / WEIGHTS} {what} weights for its config: {len(names)}, such as "
-                f"{names[0]}"
+                f"{file} {what} weights for its config: {len(names)}, such as {names[0]}"
             )
 
 
@@ -541,5 +704,4 @@ def _check_statistics(file: Path, pipeline: Any, config: Any) -> None:
 
 def reason(error: BaseException) -> str:
     """Return the error's root cause in one line."""
-    text = " ".join(f"{type(error).__name__}: {error.__cause__ or error}".split())
-    return text if len(text) <= 300 else f"{text[:300]} ..."
+    return shortened(f"{type(error).__name__}: {error.__cause__ or error}", 300)

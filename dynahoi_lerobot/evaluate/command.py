@@ -7,17 +7,15 @@ from itertools import batched
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
-from dynahoi_lerobot.core.agent import Actor, Agent, ChunkAgent
+from dynahoi_lerobot.core.agent import Actor, Agent
 from dynahoi_lerobot.core.arguments import given_of, number, option, refuse_given, whole
 from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, EYE, TRUTH
 from dynahoi_lerobot.core.nested import changed
+from dynahoi_lerobot.core.progress import progress_bar
 from dynahoi_lerobot.core.protocols import PROTOCOLS
 from dynahoi_lerobot.core.reading import ReadError
-from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.evaluate import replay_results
 from dynahoi_lerobot.evaluate.arguments import AS_TRAINED, TRUST, VLM, make_actor, playing_rules
 from dynahoi_lerobot.evaluate.results import Results, RunInfo, kept_results, read_results
@@ -149,9 +147,9 @@ def run(options: Options) -> int:
         privileged=actor.privileged,
     )
     with kept_results(options.out, info) as earlier:
-        specs = _specs(options, recipe, earlier.seeds)
-        results = earlier if specs else _finished(earlier)
-        for episodes in _played(options, recipe, actor, specs, _batch_size(options, inference)):
+        seeds = _seeds(options, earlier.seeds)
+        results = earlier if seeds else _finished(earlier)
+        for episodes in _played(options, recipe, actor, seeds, _batch_size(options, inference)):
             results = results.plus(episodes)
             info.extra.update(actor.report())
             if options.out:
@@ -178,7 +176,7 @@ def _real_time(actor: Actor, inference: Inference) -> Actor:
     """Give the actor an inference that takes time."""
     if inference.mode == SYNC:
         return actor
-    if not isinstance(actor, ChunkAgent):
+    if not (isinstance(actor, Agent) and actor.plans):
         raise ValueError(
             f"--inference {inference.mode} needs a policy that plans chunks; {actor.name!r} is "
             f"an expert"
@@ -253,8 +251,8 @@ def _vlm(options: Options) -> Agent:
     return VlmAgent(client, name=f"vlm:{options.model}:{options.prompt}")
 
 
-def _specs(options: Options, recipe: Recipe, played: set[int]) -> list[EpisodeSpec]:
-    """Sample the episodes whose seeds are not among those ``played`` before."""
+def _seeds(options: Options, played: set[int]) -> list[int]:
+    """Return the seeds to play that are not among those ``played`` before."""
     seeds = split_seeds(options.split)
     if options.episodes is not None:
         if not 1 <= options.episodes <= len(seeds):
@@ -263,30 +261,31 @@ def _specs(options: Options, recipe: Recipe, played: set[int]) -> list[EpisodeSp
                 f"{options.episodes}"
             )
         seeds = seeds[: options.episodes]
-    return sample_specs(recipe, [seed for seed in seeds if seed not in played], threads=0)
+    return [seed for seed in seeds if seed not in played]
 
 
 def _played(
-    options: Options, recipe: Recipe, actor: Actor, specs: list[EpisodeSpec], size: int
+    options: Options, recipe: Recipe, actor: Actor, seeds: list[int], size: int
 ) -> Iterator[list[Episode]]:
-    """Play ``specs`` and yield episodes in batches of ``size``, without images; those of the first
-    seeds of the split are written as GIFs.
+    """Play the episodes of ``seeds`` and yield them in batches of ``size``, without images; those
+    of the first seeds of the split are written as GIFs.
     """
-    if not specs:
+    if not seeds:
         return
-    batch = WorldBatch(recipe.rules, min(size, len(specs)))
+    batch = WorldBatch(recipe.rules, min(size, len(seeds)))
     shown = set(split_seeds(options.split)[: options.gifs])
-    with tqdm(
-        total=len(specs), desc=f"{options.policy} on {options.split}", unit="episode"
+    with progress_bar(
+        total=len(seeds), desc=f"{options.policy} on {options.split}", unit="episode"
     ) as progress:
-        for group in batched(specs, size):
+        for group in batched(seeds, size):
+            specs = sample_specs(recipe, group, threads=0)
             if (
                 len(group) < batch.size
             ):  # a policy's noise depends on the number of worlds, also when it is resumed
                 batch = WorldBatch(recipe.rules, len(group))
             played = []
-            images = any(spec.seed in shown for spec in group)
-            for episode in evaluate(batch, actor, group, images=images):
+            images = not shown.isdisjoint(group)
+            for episode in evaluate(batch, actor, specs, images=images):
                 if options.out and episode.meta.seed in shown:
                     from dynahoi_lerobot.evaluate.gif import episode_gif  # which brings in OpenCV
 

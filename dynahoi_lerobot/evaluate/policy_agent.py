@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from dynahoi_lerobot.core.agent import ChunkAgent, Observation
+from dynahoi_lerobot.core.agent import Agent, Observation
 from dynahoi_lerobot.core.conventions import CONTROL_DT
 from dynahoi_lerobot.core.features import (
     ENVIRONMENT_STATE,
@@ -41,12 +41,19 @@ def _in_a_sentence[**P, R](method: Callable[P, R]) -> Callable[P, R]:
     return call
 
 
-class PolicyAgent(ChunkAgent):
+class PolicyAgent(Agent):
     """Acts as ``lerobot-eval`` would with the same checkpoint folder or Hub repository.
 
     Attributes:
         package: the top-level package of the policy's class.
+        seed: of torch's generator at the start of episodes, from which policies draw their noise.
+        thoughts: what the policy has recorded of each decision since then, None where it records
+            nothing; None if nobody keeps them.
     """
+
+    plans = True
+    seed: int = 0
+    thoughts: list[Any] | None = None
 
     def __init__(
         self,
@@ -70,6 +77,7 @@ class PolicyAgent(ChunkAgent):
         self._frame = 0
         taken = signature(self._policy.predict_action_chunk).parameters
         self._expects_delays = "inference_delay" in taken
+        self._guided = False
         inputs = self._policy.config.input_features
         told = self.trained_for.get("environment_state") or None
         self.environment_state = told if ENVIRONMENT_STATE in inputs else ""
@@ -79,17 +87,19 @@ class PolicyAgent(ChunkAgent):
         self.views = self.trained_for["views"]
 
     def reset(self, count: int) -> None:
-        """Forget queued actions and history, and seed torch's generator, from which policies draw
-        their noise.
+        """Forget queued actions and history, and seed torch's generator.
 
         So what a group of episodes draws depends on no group before it, and an interrupted
         evaluation goes on alike.
         """
         import torch
 
-        torch.manual_seed(0)
+        torch.manual_seed(self.seed)
         self._policy.reset()
-        self._chunk, self._frame = None, 0
+        self._chunk = None
+        self._frame = 0
+        if self.thoughts is not None:
+            self.thoughts.clear()
 
     @_in_a_sentence
     def act(self, observation: Observation) -> np.ndarray:
@@ -98,6 +108,8 @@ class PolicyAgent(ChunkAgent):
 
         with torch.inference_mode():
             action = self._policy.select_action(self._batch(observation))
+        if self.thoughts is not None:
+            self.thoughts.append(getattr(self._policy, "decision", None))
         return self._commands(action)
 
     @property
@@ -107,18 +119,8 @@ class PolicyAgent(ChunkAgent):
 
         return supports_rtc_inference(self._policy)
 
-    def enable_guidance(self) -> None:
-        """Set real-time chunking up as ``lerobot-rollout`` does, with LeRobot's defaults if the
-        checkpoint has none.
-        """
-        from lerobot.policies.rtc import RTCConfig
-
-        self._policy.config.rtc_config = self._policy.config.rtc_config or RTCConfig()
-        if hasattr(self._policy, "init_rtc_processor"):
-            self._policy.init_rtc_processor()
-
     @_in_a_sentence
-    def watch(self, observation: Observation) -> None:
+    def observe(self, observation: Observation) -> None:
         """Add a frame to the policy's history, if it has one."""
         note_frame(self._policy, self._batch(observation))
 
@@ -142,16 +144,17 @@ class PolicyAgent(ChunkAgent):
         """
         import torch
 
-        start, batch, guidance = time.perf_counter(), self._batch(observation), {}
+        start = time.perf_counter()
+        batch = self._batch(observation)
+        guidance: dict[str, Any] = {}
         if delays is not None and (executed is not None or self._expects_delays):
             guidance["inference_delay"] = int(delays[0])
         if executed is not None:
+            self._prepare_guidance()
             # the normalised actions that are not executed yet; of a chunk that is over, where it
             # led
-            left_over = self._chunk[
-                :, min(int(executed[0]), self._chunk.shape[1] - 1) :
-            ]  # (N, n, 18)
-            guidance["prev_chunk_left_over"] = left_over
+            past = min(int(executed[0]), self._chunk.shape[1] - 1)
+            guidance["prev_chunk_left_over"] = self._chunk[:, past:]  # (N, n, 18)
         with torch.no_grad():  # not inference_mode: LeRobot's guidance differentiates
             try:
                 self._chunk = self._policy.predict_action_chunk(
@@ -163,6 +166,19 @@ class PolicyAgent(ChunkAgent):
                 ) from error
             actions = self._commands(self._chunk)[worlds]
         return actions, np.full(len(worlds), time.perf_counter() - start)
+
+    def _prepare_guidance(self) -> None:
+        """Set real-time chunking up once, as ``lerobot-rollout`` does, with LeRobot's defaults if
+        the checkpoint has none.
+        """
+        from lerobot.policies.rtc import RTCConfig
+
+        if self._guided:
+            return
+        self._guided = True
+        self._policy.config.rtc_config = self._policy.config.rtc_config or RTCConfig()
+        if hasattr(self._policy, "init_rtc_processor"):
+            self._policy.init_rtc_processor()
 
     def _commands(self, normalised: Any) -> np.ndarray:
         """What the policy's actions, as it predicts them, stand for."""

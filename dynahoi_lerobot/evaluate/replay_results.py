@@ -17,11 +17,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.nested import flat
 from dynahoi_lerobot.core.numerics import TOLERANCE
+from dynahoi_lerobot.core.progress import progress_bar
 from dynahoi_lerobot.core.reading import sha256
 from dynahoi_lerobot.evaluate.results import (
     ACTIONS_FILE,
@@ -69,7 +69,7 @@ def run(folder: Path, salt: str, count: int | None, seed: int | None) -> int:
     chosen = drawn(len(results.rows), count, seed)
     findings = list(check_results(results, recipe))
     if not findings:
-        progress = tqdm(
+        progress = progress_bar(
             check_episodes(results, recipe, chosen),
             total=len(chosen),
             desc="replaying",

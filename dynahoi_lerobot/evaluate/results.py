@@ -20,17 +20,17 @@ from dynahoi_lerobot.core.conventions import HAND_DOF, SEED_LIMIT
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.escaping import printable
 from dynahoi_lerobot.core.files import write_atomically
-from dynahoi_lerobot.core.nested import field_names, flat
+from dynahoi_lerobot.core.nested import flat
 from dynahoi_lerobot.core.reading import (
     LeftOut,
     ReadError,
-    decoded,
     open_table,
     read_arrays,
     read_object,
     read_rows,
     reading,
     require,
+    validated,
 )  # fmt: skip
 from dynahoi_lerobot.core.working_folder import working_folder
 from dynahoi_lerobot.evaluate.rows import COLUMNS, METRIC_TYPE, Row, episode_row, measured
@@ -38,6 +38,7 @@ from dynahoi_lerobot.evaluate.summary import Estimate, Summary, summarise_by, su
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.rollout.inference import SYNC
 from dynahoi_lerobot.rollout.loop import ActionLog
+from dynahoi_lerobot.rules import Rules
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK_ID
 from dynahoi_lerobot.sampling.fingerprint import recipe_code, surroundings
 from dynahoi_lerobot.sampling.recipe import COMPARED, Recipe
@@ -55,7 +56,7 @@ HEAD_TYPES: dict[str, Any] = (
     {"n": int, "n_success": int, "pc_success_ci95": list[float]}
     | {"metrics": (figures := dict[str, dict[str, Any]]), "per_kind": dict[str, figures]}
     | dict.fromkeys(("split", "policy", "capture", "code", "benchmark", "command"), str)
-    | {"recipe": Recipe, "extra": dict[str, Any]}
+    | {"recipe": dict[str, Any], "extra": dict[str, Any]}
 )
 EXTRA_TYPES = {
     "inference": str | None,
@@ -79,8 +80,6 @@ MOST_EPISODES = 10**4
 REMEDY = "run `dynahoi evaluate` with this folder as --out"
 WEIGHTS = "weights"
 """Key of the sha256 of a policy's files of weights, by name."""
-BASE = "base/"
-"""Names of the files of weights of an adapter's base model begin so."""
 
 
 def command_line() -> str:
@@ -233,7 +232,7 @@ class Results:
     def recipe(self) -> Recipe:
         """Return what was played; ReadError if something that it names does not exist here."""
         with reading(self.folder / METRICS_FILE):
-            return decoded(Recipe, self.info.recipe)
+            return validated(Recipe, self.info.recipe)
 
     def log(self, index: int) -> ActionLog:
         """Return what row ``index`` was played with."""
@@ -371,7 +370,9 @@ def _read_head(path: Path) -> dict[str, Any]:
         head = {"extra": {}} | read_object(path)
         _check_schema(path, head)
         require(head, HEAD_TYPES)
-        require(flat(head["recipe"]), dict.fromkeys(field_names(Recipe), object))
+        # not made a Recipe here, which would need every plugin that it names
+        require(head["recipe"], get_type_hints(Recipe) | {"rules": dict[str, Any]})
+        require(head["recipe"]["rules"], get_type_hints(Rules))
         for figures in (head["metrics"], *head["per_kind"].values()):
             for figure in figures.values():
                 require(figure, get_type_hints(Estimate))

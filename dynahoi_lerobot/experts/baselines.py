@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from dynahoi_lerobot.core.agent import Expert, WorldState
+from dynahoi_lerobot.core.agent import Expert, WorldState, WorldView
 from dynahoi_lerobot.core.conventions import CONTROL_DT, PALM_DOF
-from dynahoi_lerobot.experts.base import EXPERTS, SingleWorldExpert, Teacher, WorldView
+from dynahoi_lerobot.experts.base import EXPERTS
 from dynahoi_lerobot.experts.intercept import EXTRAPOLATED_FRAMES, approach, meeting_goal
 from dynahoi_lerobot.hands import HANDS
 
@@ -41,11 +41,13 @@ class Hold(Expert):
 
 
 @EXPERTS.register("pursuit")
-class Pursuit(Teacher):
+class Pursuit(Expert):
     """Chase the target's current true position at full speed; its score needs no prediction.
 
     Its recordings suit policies that see too little of the past to predict.
     """
+
+    labels_any_state = True
 
     def command(self, world: WorldView) -> np.ndarray:
         """Return (18,) the command of one world."""
@@ -69,7 +71,7 @@ def baseline(name: str, *, privileged: bool = True) -> Callable[[Command], Comma
             "command": staticmethod(command),
             "__doc__": command.__doc__,
         }
-        EXPERTS.register(name)(type(name, (SingleWorldExpert,), members))
+        EXPERTS.register(name)(type(name, (Expert,), members))
         return command
 
     return decorate

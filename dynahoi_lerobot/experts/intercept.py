@@ -2,16 +2,16 @@
 fingers in time.
 """
 
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 
-from dynahoi_lerobot.core.agent import Meeting
+from dynahoi_lerobot.core.agent import Expert, Meeting, WorldView
 from dynahoi_lerobot.core.conventions import CONTROL_DT, PALM_DOF
 from dynahoi_lerobot.core.numerics import norm
 from dynahoi_lerobot.core.protocols import ControlClass
 from dynahoi_lerobot.core.spec import EpisodeSpec
-from dynahoi_lerobot.experts.base import EXPERTS, Teacher, WorldView
+from dynahoi_lerobot.experts.base import EXPERTS
 from dynahoi_lerobot.hands import HANDS
 
 CLOSING_FRAMES = 8
@@ -34,7 +34,7 @@ SPEED_M_S = 1.0
 
 
 @EXPERTS.register("intercept")
-class Intercept(Teacher):
+class Intercept(Expert):
     """A constant-speed straight approach to the earliest point of the target's path that the hand
     can reach.
 
@@ -43,6 +43,8 @@ class Intercept(Teacher):
     be when the command takes effect. So it labels any state, also after a disturbance or a miss,
     and arrives together with the target: no wait is needed.
     """
+
+    labels_any_state = True
 
     def command(self, world: WorldView) -> np.ndarray:
         """Return (18,) the command of one world."""
@@ -99,7 +101,7 @@ def approach(world: WorldView, path_w: np.ndarray, speed_m_s: float) -> np.ndarr
 
 
 def meeting_goal(world: WorldView, path_w: np.ndarray, speed_m_s: float) -> np.ndarray:
-    """Return (18,) a `Teacher`'s goal: the earliest point of a path in reach, and fingers closed
+    """Return (18,) an expert's goal: the earliest point of a path in reach, and fingers closed
     well before it.
 
     Args:
@@ -109,7 +111,7 @@ def meeting_goal(world: WorldView, path_w: np.ndarray, speed_m_s: float) -> np.n
     if world.localized:
         return np.concatenate([world.state[:PALM_DOF], closed])
     arrival = earliest_arrival(world.state, closed, path_w, speed_m_s, world.control)
-    closing = np.clip((CLOSED_FRAMES + CLOSING_FRAMES - arrival) / CLOSING_FRAMES, 0.0, 1.0)
+    closing = min(max((CLOSED_FRAMES + CLOSING_FRAMES - arrival) / CLOSING_FRAMES, 0.0), 1.0)
     return np.concatenate(
         [path_w[arrival], spec.open_joints + closing * (closed - spec.open_joints)]
     )
@@ -146,6 +148,7 @@ def closed_joints(hand: str) -> np.ndarray:
     return HANDS[hand].closed_joints()
 
 
+@lru_cache(maxsize=256)  # asked in every frame, of the episodes being played
 def _closed_around(spec: EpisodeSpec) -> np.ndarray:
     """(15,) joint angles of the closed hand [rad], the same for all objects but the thinnest and
     the thickest.

@@ -4,12 +4,12 @@ in the hand.
 
 import numpy as np
 
-from dynahoi_lerobot.core.agent import Meeting
+from dynahoi_lerobot.core.agent import Expert, Meeting, WorldView
 from dynahoi_lerobot.core.conventions import CONTROL_DT, GANTRY_SPEED_M_S, PALM_DOF
 from dynahoi_lerobot.core.numerics import norm
 from dynahoi_lerobot.core.protocols import ControlClass
 from dynahoi_lerobot.core.spec import EpisodeSpec
-from dynahoi_lerobot.experts.base import EXPERTS, Teacher, WorldView
+from dynahoi_lerobot.experts.base import EXPERTS
 from dynahoi_lerobot.experts.intercept import closed_joints
 
 SEAT_M = np.array([-0.006, 0.0, 0.004])
@@ -47,10 +47,12 @@ ON_PATH_M = 0.01
 
 
 @EXPERTS.register("match")
-class Match(Teacher):
+class Match(Expert):
     """Velocity-matched approach with a power grasp, for the capture rule ``contact``; a function of
     the state.
     """
+
+    labels_any_state = True
 
     def command(self, world: WorldView) -> np.ndarray:
         """Return (18,) the command of one world."""

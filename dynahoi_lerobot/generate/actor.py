@@ -8,56 +8,25 @@ import hashlib
 from functools import cache
 from pathlib import Path
 
-import numpy as np
-
 import dynahoi_lerobot
-from dynahoi_lerobot.core.agent import Agent, Observation
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE
 from dynahoi_lerobot.core.reading import read_object, sha256
-from dynahoi_lerobot.evaluate.checkpoint import CONFIG, PolicyError, checked_folder
+from dynahoi_lerobot.evaluate.checkpoint import (
+    ADAPTER,
+    CONFIG,
+    WEIGHTS,
+    PolicyError,
+    base_folder,
+    checked_folder,
+)
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.sampling.fingerprint import hash_packages
 
 POLICY_SOURCE = "evaluate/policy_agent.py"
 """Source between a policy and the worlds; no expert passes there."""
-PARTS = (CONFIG, "policy_*.json", "*.safetensors")
-"""Files of a checkpoint from which a policy and its processors are loaded."""
-
-
-class RecordedPolicy(Agent):
-    """A policy whose actions follow from what it sees and from a seed.
-
-    It has random numbers of its own and one thread: with more, sums may be rounded in another
-    order.
-    """
-
-    def __init__(self, policy: PolicyAgent, seed: int) -> None:
-        import torch
-
-        self.name, self.sees_images = policy.name, policy.sees_images
-        self._policy = policy
-        self._random = torch.Generator().manual_seed(seed).get_state()
-
-    def reset(self, count: int) -> None:
-        """Forget the last episodes."""
-        self._policy.reset(count)
-
-    def act(self, observation: Observation) -> np.ndarray:
-        """Return (N, 18) commands: palm position [m], home frame, and joint angles [rad] for the
-        next frame.
-        """
-        import torch
-
-        threads = torch.get_num_threads()
-        torch.set_num_threads(1)
-        try:
-            with torch.random.fork_rng(devices=[]):
-                torch.set_rng_state(self._random)
-                command = self._policy.act(observation)
-                self._random = torch.get_rng_state()
-                return command
-        finally:
-            torch.set_num_threads(threads)
+PARTS = (CONFIG, ADAPTER, "policy_*.json", "*.safetensors")
+"""Files of a checkpoint from which a policy and its processors are loaded, besides the weights of
+an adapter's base."""
 
 
 def open_policy(path: str, *, trust: bool = False) -> PolicyAgent:
@@ -94,13 +63,19 @@ def _opened(path: str, name: str, on: str, trust: bool) -> PolicyAgent:
     return policy
 
 
-def make_actor(seed: int, *, path: str, name: str, on: str, trust: bool = False) -> RecordedPolicy:
-    """Return the policy at ``path`` with the random numbers of a seed.
+def make_actor(seed: int, *, path: str, name: str, on: str, trust: bool = False) -> PolicyAgent:
+    """Return the policy at ``path`` with the random numbers of a seed, and let torch use one
+    thread: with more, sums may be rounded in another order.
 
     Raises:
         PolicyError: if its ``actor_name`` is not ``name``, or its ``runtime`` here is not ``on``.
     """
-    return RecordedPolicy(_opened(path, name, on, trust), seed)
+    import torch
+
+    torch.set_num_threads(1)
+    policy = _opened(path, name, on, trust)
+    policy.seed = seed
+    return policy
 
 
 def actor_name(path: str) -> str:
@@ -112,6 +87,9 @@ def actor_name(path: str) -> str:
     for file in sorted({file for part in PARTS for file in folder.glob(part)}):
         digest.update(file.name.encode())
         digest.update(bytes.fromhex(sha256(file)))
+    base = base_folder(folder)
+    if base is not None:
+        digest.update(bytes.fromhex(sha256(base / WEIGHTS)))
     return f"{read_object(folder / CONFIG, {'type': str})['type']}@{digest.hexdigest()[:16]}"
 
 

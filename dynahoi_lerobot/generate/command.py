@@ -10,11 +10,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
-
 from dynahoi_lerobot.core.arguments import given_of, number, option, refuse_given, whole
 from dynahoi_lerobot.core.files import check_output
 from dynahoi_lerobot.core.nested import changed
+from dynahoi_lerobot.core.progress import progress_bar
 from dynahoi_lerobot.core.reading import reading
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import MANIFEST_PATH, FileLimits, check_root
@@ -111,8 +110,8 @@ def run(
             print(executors.describe(*work))
             return 0
     record = record or partial(loop.record, threads=_threads(options))
-    with tqdm(
-        total=plan.episodes, desc="generating", unit="episode", smoothing=0.05, disable=None
+    with progress_bar(
+        total=plan.episodes, desc="generating", unit="episode", smoothing=0.05
     ) as bar:
         manifest = generate(
             plan,
@@ -127,6 +126,8 @@ def run(
     print(json.dumps(summary, indent=2))
     if options.json:
         options.json.write_text(json.dumps(summary, indent=2))
+    look = f"dynahoi view --dataset {options.root} --episode 0 --out episode.html"
+    print(f"next: {look}\n      dynahoi verify {options.root}", file=sys.stderr)
     return 0
 
 

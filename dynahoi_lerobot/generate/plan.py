@@ -16,7 +16,7 @@ from typing import Any
 
 from dynahoi_lerobot.core.arguments import CommandError
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.features import episode_features
+from dynahoi_lerobot.core.features import privileged_features
 from dynahoi_lerobot.core.files import new_folder
 from dynahoi_lerobot.core.reading import ReadError
 from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
@@ -152,7 +152,7 @@ class ShardMaker:
         target, plan = self.path(shard), self.plan
         if target.is_dir():
             return
-        columns = (*plan.recording.recipe.rules.features, *episode_features())
+        columns = (*plan.recording.recipe.rules.features, *privileged_features())
         options = (columns, plan.encoding, plan.limits)
         with (
             new_folder(target) as folder,

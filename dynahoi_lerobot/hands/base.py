@@ -149,7 +149,7 @@ class Hand(ABC):
         return closure, np.minimum.accumulate(np.transpose(distance), axis=1)
 
 
-HANDS: Registry[Hand] = Registry("hand", "dynahoi_lerobot.hands")
+HANDS: Registry[Hand] = Registry("hand")
 
 
 def add_palm(spec: mujoco.MjSpec, fingers_kg: float) -> mujoco.MjsBody:

@@ -154,7 +154,8 @@ def _load(model: str, entry: str) -> mujoco.MjSpec:
         import mujoco_menagerie
     except ImportError as error:
         raise ValueError(
-            f"the hand {model!r} needs pip install 'dynahoi_lerobot[hands]', for MuJoCo Menagerie"
+            f"the hand {model!r} needs MuJoCo Menagerie, which the extra `hands` installs: "
+            "pip install '.[hands]', in a checkout"
         ) from error
     try:
         return mujoco_menagerie.get(model).spec(entry)

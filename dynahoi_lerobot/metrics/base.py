@@ -75,7 +75,7 @@ class Metric:
         return " ".join(self.doc.partition("\n\n")[0].split())
 
 
-METRICS: Registry[Metric] = Registry("metric", "dynahoi_lerobot.metrics")
+METRICS: Registry[Metric] = Registry("metric")
 
 
 def metric(

@@ -5,8 +5,6 @@ import numpy as np
 from dynahoi_lerobot.core.conventions import (
     CONTROL_DT,
     CONTROL_HZ,
-    LENIENT_RADIUS_M,
-    LOCALIZATION_RADIUS_M,
     UNIT_M,
 )
 from dynahoi_lerobot.core.episode import Episode
@@ -43,11 +41,11 @@ def s_loc_planar(episode: Episode) -> bool:
     """
     if episode.first_localized is not None:
         return True
+    from dynahoi_lerobot.captures import CAPTURES  # which brings in MuJoCo
+
     frames = until_localized(episode)
     offset = episode.palm_pos_h[frames, :2] - episode.target_pose[frames, :2]  # (T, 2)
-    radius_m = (
-        LENIENT_RADIUS_M if episode.meta.capture == "attach_lenient" else LOCALIZATION_RADIUS_M
-    )
+    radius_m = CAPTURES[episode.meta.capture].localization_radius_m
     return bool((np.linalg.norm(offset, axis=1) < radius_m).any())
 
 

@@ -108,7 +108,7 @@ def q_line_18d(episode: Episode) -> float:
     dropped.
 
     ``Q_line_18d = 1 / (N - 1) * sum_t s_t . v`` with the unit directions of ``a_{t+1} - a_t`` and
-    of ``a_N - a_1``, of the commands given (``stats/given_action``), not executed.
+    of ``a_N - a_1``, of the commands given (``given_action``), not executed.
 
     Score in [-1, 1], higher is better. Source: the authors' evaluation code; for comparison with
     their logs only.
@@ -122,7 +122,7 @@ def q_smooth_18d(episode: Episode) -> float:
     dropped.
 
     ``Q_smooth_18d = 1 / (1 + CV(d))`` with ``d_t = |a_{t+1} - a_t|`` of the commands given
-    (``stats/given_action``), not executed; 1 without any step, where the authors' value is not a
+    (``given_action``), not executed; 1 without any step, where the authors' value is not a
     number.
 
     Score in [0, 1], higher is better. Source: the authors' evaluation code; for comparison with

@@ -2,6 +2,16 @@
 by its name.
 """
 
+from dynahoi_lerobot.motions import (  # noqa: F401 - they register the motions
+    circular_arc,
+    hybrid,
+    impact_response,
+    inclined_rolling,
+    pendulum,
+    projectile,
+    simple_harmonic,
+    straight_line,
+)
 from dynahoi_lerobot.motions.base import (
     CATEGORIES,
     MOTIONS,

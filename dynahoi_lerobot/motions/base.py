@@ -133,7 +133,7 @@ class Motion(ABC):
         return json.dumps(asdict(self), sort_keys=True)  # type: ignore[call-overload]
 
 
-MOTIONS: Registry[type[Motion]] = Registry("motion", "dynahoi_lerobot.motions")
+MOTIONS: Registry[type[Motion]] = Registry("motion")
 
 
 class PrescribedMotion(Motion):

@@ -1,5 +1,6 @@
 """Objects to catch; a function with ``@object_type`` can be played by its name."""
 
+from dynahoi_lerobot.objects import kinds  # noqa: F401 - registers the objects
 from dynahoi_lerobot.objects.base import (
     OBJECTS,
     ObjectGeometry,

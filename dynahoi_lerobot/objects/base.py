@@ -92,7 +92,7 @@ class ObjectType:
         )
 
 
-OBJECTS: Registry[ObjectType] = Registry("object", "dynahoi_lerobot.objects")
+OBJECTS: Registry[ObjectType] = Registry("object")
 
 
 def object_type(

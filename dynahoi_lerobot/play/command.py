@@ -10,7 +10,7 @@ from typing import Any
 from dynahoi_lerobot.core.arguments import given_of, option, whole
 from dynahoi_lerobot.core.conventions import SEED_LIMIT
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.features import episode_features
+from dynahoi_lerobot.core.features import privileged_features
 from dynahoi_lerobot.core.files import new_folder
 from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.dataset.writer import DatasetWriter
@@ -89,7 +89,7 @@ def run(options: Options) -> int:
 
         def keep(episode: Episode) -> None:
             nonlocal results, writer
-            columns = (*recipe.rules.features, *episode_features())
+            columns = (*recipe.rules.features, *privileged_features())
             if options.record and writer is None:
                 folder = stack.enter_context(new_folder(options.record))
                 writer = stack.enter_context(DatasetWriter(folder, columns))

@@ -142,7 +142,7 @@ class LiveWorld:
     def expert_goal(self) -> np.ndarray:
         """Return (18,) what the capture rule's privileged expert would command now."""
         self.catch_up()
-        return self._expert.act(self._session.batch.world_state(self._seen))[0]
+        return self._expert.act(self._session.world_state(self._seen))[0]
 
     @property
     def _seen(self) -> Observation:

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from dynahoi_lerobot.core.conventions import EGO_VIEW, PALM_DOF
-from dynahoi_lerobot.core.numerics import quat_to_matrix
-from dynahoi_lerobot.world.sensors import camera_pose, intrinsics
+from dynahoi_lerobot.scene.pinhole import Pinhole
 
 if TYPE_CHECKING:
     from dynahoi_lerobot.play.live_world import LiveWorld
@@ -59,19 +58,12 @@ class Steering:
         ``attach`` closing means the object's reference grasp, since nothing stops the fingers
         there; under ``contact`` the closed hand.
         """
-        batch, spec = world.batch, world.spec
-        model, hand = batch.scene.model, batch.scene.hand
-        axes = quat_to_matrix(camera_pose(model, EGO_VIEW)[3:])  # columns: right, up, backwards
-        focal, _, centre, _ = intrinsics(model, EGO_VIEW, world.recipe.rules.image_size)
-        way = axes @ np.array(
-            [self.x * POINTED_M * centre / focal, self.y * POINTED_M * centre / focal, 0.0]
-        )
-        way += axes @ np.array([0.0, 0.0, -self.depth * DEPTH_M])
+        batch = world.batch
+        hand = batch.scene.hand
+        camera = Pinhole.of(batch.scene.model, EGO_VIEW)
+        pointed_m = POINTED_M * camera.half_view
+        way = camera.axes @ [self.x * pointed_m, self.y * pointed_m, -self.depth * DEPTH_M]
         touching = world.recipe.rules.capture_rule.uses_contact_sensors
-        closed = hand.closed_joints() if touching else spec.reference_joints
-        return np.concatenate(
-            [
-                batch.state[0, :PALM_DOF] + way,
-                hand.open_joints() * (1 - self.closed) + closed * self.closed,
-            ]
-        )
+        closed = hand.closed_joints() if touching else world.spec.reference_joints
+        joints = hand.open_joints() * (1 - self.closed) + closed * self.closed
+        return np.concatenate([batch.state[0, :PALM_DOF] + way, joints])

@@ -17,9 +17,9 @@ from dynahoi_lerobot.pretrain.recipe import PretrainRecipe
 from dynahoi_lerobot.sampling.randomization import RANDOMIZATIONS
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
+from dynahoi_lerobot.scene.pinhole import Pinhole
 from dynahoi_lerobot.scene.scene import compile_scene
 from dynahoi_lerobot.world.batch import WorldBatch
-from dynahoi_lerobot.world.sensors import camera_pose, intrinsics
 
 POSES = 8
 """Configurations of a world before it shows another episode: to begin one costs as much as several
@@ -76,11 +76,12 @@ class Snapshots:
 
 
 def calibration(recipe: PretrainRecipe) -> tuple[np.ndarray, np.ndarray]:
-    """Return the camera's pose (7,), as ``stats/ego_camera``, and intrinsics (4,) [px], as
-    ``stats/ego_intrinsics``.
+    """Return the camera's pose (7,), as ``ego_camera``, and intrinsics (4,) [px], as
+    ``ego_intrinsics``.
     """
-    model, name = compile_scene(recipe.episodes.rules.hand_name).model, recipe.camera
-    return camera_pose(model, name), intrinsics(model, name, recipe.episodes.rules.image_size)
+    rules = recipe.episodes.rules
+    camera = Pinhole.of(compile_scene(rules.hand_name).model, recipe.camera)
+    return camera.pose, camera.intrinsics(rules.image_size)
 
 
 class ImageStream:

@@ -48,4 +48,11 @@ class Renderer(ABC):
         """
 
 
-RENDERERS: Registry[type[Renderer]] = Registry("renderer", "dynahoi_lerobot.renderers")
+RENDERERS: Registry[type[Renderer]] = Registry(
+    "renderer",
+    slow={
+        "flat": "dynahoi_lerobot.renderers.tiles",
+        "tiles": "dynahoi_lerobot.renderers.tiles",
+        "warp": "dynahoi_lerobot.renderers.warp",
+    },
+)

@@ -15,7 +15,6 @@ import numpy as np
 import warp as wp
 from mujoco.batch import Batch
 
-from dynahoi_lerobot.core.numerics import tan
 from dynahoi_lerobot.renderers.base import RENDERERS, Renderer
 from dynahoi_lerobot.renderers.raycast.device import Mirror, default_device, world_fields
 from dynahoi_lerobot.renderers.raycast.images import render_color, smooth_edges, trace
@@ -31,6 +30,7 @@ from dynahoi_lerobot.renderers.raycast.tiling import (
     worlds_of,
 )
 from dynahoi_lerobot.scene.model import ARENA_HALF_M, SHOWN_GROUPS
+from dynahoi_lerobot.scene.pinhole import Pinhole
 from dynahoi_lerobot.scene.scene import Scene
 
 GROUND_LIGHT, SKY_LIGHT = 0.24, 0.15
@@ -217,12 +217,11 @@ def _launch(recorded: Any, *dim: int) -> None:
 
 def _intrinsics(model: mujoco.MjModel, camera: int, image_size: int) -> Any:
     intrinsics = CameraIntrinsics()
-    intrinsics.camera, intrinsics.size, intrinsics.tiles_across = (
-        camera,
-        image_size,
-        -(-image_size // TILE),
-    )
-    intrinsics.focal = 0.5 * image_size / tan(0.5 * np.radians(model.cam_fovy[camera]))
+    intrinsics.camera = camera
+    intrinsics.size = image_size
+    intrinsics.tiles_across = -(-image_size // TILE)
+    focal, _, _, _ = Pinhole.of(model, model.camera(camera).name).intrinsics(image_size)
+    intrinsics.focal = focal
     return intrinsics
 
 

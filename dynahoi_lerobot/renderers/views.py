@@ -2,14 +2,14 @@
 
 ``ego`` is the hand's camera and is always recorded; ``side``, ``ego_depth`` or
 ``side_segmentation`` are options. Depth and segmentation are encoded as RGB too, so that every
-policy can take them and every video codec can store them.
+policy can take them.
 """
 
 from collections.abc import Callable
 
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import EGO_VIEW
+from dynahoi_lerobot.core.conventions import DEPTH, EGO_VIEW, SEGMENTATION
 from dynahoi_lerobot.renderers.base import Renderer
 from dynahoi_lerobot.scene.model import SIDE_CAMERA
 from dynahoi_lerobot.scene.scene import Scene
@@ -46,8 +46,8 @@ def segmentation(renderer: Renderer, ids: np.ndarray) -> np.ndarray:
 
 MODALITIES: dict[str, Callable[[Renderer, np.ndarray], np.ndarray]] = {
     "": lambda renderer, ids: renderer.rgb(ids),
-    "_depth": depth,
-    "_segmentation": segmentation,
+    DEPTH: depth,
+    SEGMENTATION: segmentation,
 }
 """Function that renders a modality, by the suffix of the view's name."""
 

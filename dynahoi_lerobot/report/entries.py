@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dynahoi_lerobot.core.escaping import printable
+from dynahoi_lerobot.core.escaping import printable, shortened
 from dynahoi_lerobot.core.reading import LeftOut, ReadError
 from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.evaluate.rows import Row, identity
@@ -138,8 +138,7 @@ def short_name(policy: str) -> str:
 
 def clip(text: str) -> str:
     """Return ``text`` in printable characters, shortened in the middle."""
-    clean, half = printable(text.strip()), (LABEL_LENGTH - 1) // 2
-    return clean if len(clean) <= LABEL_LENGTH else f"{clean[:half]}…{clean[-half:]}"
+    return shortened(printable(text.strip()), LABEL_LENGTH)
 
 
 def distinct_episodes(entries: Sequence[Entry]) -> list[Row]:

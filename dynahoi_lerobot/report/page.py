@@ -200,7 +200,7 @@ def clips_of(folder: Path) -> tuple[list[tuple[str, str]], int]:
     clips = []
     for file in sorted(folder.glob("*.gif")):
         with suppress(ReadError):  # a link could embed any file
-            content = read_bytes(inside(folder, file.name), LARGEST_CLIP_BYTES)
-            if content.startswith(GIF_HEADERS):
+            content = read_bytes(inside(folder, file.name))
+            if content.startswith(GIF_HEADERS) and len(content) <= LARGEST_CLIP_BYTES:
                 clips.append((printable(file.stem), data_url("image/gif", content)))
     return clips[:MOST_CLIPS], len(clips[MOST_CLIPS:])

@@ -9,14 +9,13 @@ the last has ended. Until the first chunk is ready, a hand stays where it is; af
 of a chunk, where that led.
 """
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from dynahoi_lerobot.core.agent import Agent, ChunkAgent, Observation
-from dynahoi_lerobot.core.conventions import CONTROL_DT
+from dynahoi_lerobot.core.agent import Agent, Observation
+from dynahoi_lerobot.core.conventions import frames_until
 
 SYNC, ASYNC, RTC = "sync", "async", "rtc"
 INFERENCE_MODES = {
@@ -27,8 +26,6 @@ INFERENCE_MODES = {
     "chunking)",
 }
 MAX_LATENCY_MS = 60_000.0
-ROUNDING = 1e-9
-"""Frames by which a latency may exceed a whole number of them, being computed in floating point."""
 
 
 @dataclass(frozen=True)
@@ -73,13 +70,6 @@ class Inference:
         return f"{self.mode} {latency}"
 
 
-def frames_of(seconds: float) -> int:
-    """Return the control steps [frames] until something that takes so long [s] is there: 150 ms are
-    three.
-    """
-    return max(0, math.ceil(seconds / CONTROL_DT - ROUNDING)) if math.isfinite(seconds) else 0
-
-
 @dataclass(frozen=True, eq=False)
 class Chunk:
     """A chunk of actions of one world or of all.
@@ -102,7 +92,7 @@ class Chunk:
 class RealTimeAgent(Agent):
     """Executes the chunks of an agent whose inference takes time, world by world."""
 
-    def __init__(self, agent: ChunkAgent, inference: Inference) -> None:
+    def __init__(self, agent: Agent, inference: Inference) -> None:
         """Give ``agent`` the timing ``inference``, of mode ``async`` or ``rtc``.
 
         Raises:
@@ -125,11 +115,9 @@ class RealTimeAgent(Agent):
             "trained_for",
         ):
             setattr(self, name, getattr(agent, name))
-        if inference.mode == RTC:
-            agent.enable_guidance()
         declared_ms = inference.latency_ms
         self._agent, self._continues = agent, inference.mode == RTC
-        self._delay = None if declared_ms is None else frames_of(declared_ms / 1000)
+        self._delay = None if declared_ms is None else frames_until(declared_ms / 1000)
         self._inferences, self._waited_frames = 0, 0
         self.reset(0)
 
@@ -148,7 +136,7 @@ class RealTimeAgent(Agent):
             self._infer(observation, starting)
             self._receive()
         else:
-            self._agent.watch(observation)
+            self._agent.observe(observation)
         commands = observation.state.astype(np.float64)
         for i, chunk in enumerate(self._running):
             if chunk is not None:
@@ -182,7 +170,7 @@ class RealTimeAgent(Agent):
                     f"when a chunk is ready "
                     f"after {self._delay} frames; allowed are less than {len(actions)} frames"
                 )
-            took = frames_of(seconds) if self._delay is None else self._delay
+            took = frames_until(seconds) if self._delay is None else self._delay
             self._coming[i] = Chunk(actions, self._frame, self._frame + took)
             self._inferences, self._waited_frames = self._inferences + 1, self._waited_frames + took
 
@@ -254,7 +242,7 @@ class StepwiseInference:
                 "videos; "
                 "declare it in ms, or use dynahoi evaluate --inference-ms measured"
             )
-        self.policy, self._delay = policy, frames_of(latency_ms / 1000)
+        self.policy, self._delay = policy, frames_until(latency_ms / 1000)
         self._period = max(1, self._delay)
         if (least := self._delay + 1) > policy.n_action_steps:
             raise ValueError(

@@ -10,14 +10,14 @@ from itertools import islice
 
 import numpy as np
 
-from dynahoi_lerobot.core.agent import Actor, Agent, Meeting, Observation
+from dynahoi_lerobot.core.agent import Actor, Agent, Meeting, Observation, WorldState
 from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.rollout.recorder import Job, WorldRecorder, measure_frame
 from dynahoi_lerobot.rollout.recording import Recording
-from dynahoi_lerobot.rollout.teacher_labels import Demonstrator, LabelledAgent
+from dynahoi_lerobot.rollout.teacher_labels import Labelled
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -87,23 +87,31 @@ class Session:
             ValueError: for a wrong shape or a value that is not finite; nothing has moved then.
         """
         assert self.observation is not None, "observe before the first step"
-        columns = measure_frame(self.batch, self.observation)
+        ids = self.playing
+        columns = measure_frame(self.batch, self.observation, ids)
         images = self.observation.images if self.record_images else {}
-        self.batch.step(commands, self.playing, control_mode)
-        given = self.batch.given.copy()
-        wanted = (
-            given if labels is None else self.batch.commands.labels(labels, self.observation.state)
-        )
+        self.batch.step(commands, ids, control_mode)
+        given = self.batch.given[ids]
+        if labels is None:
+            wanted = given
+        else:
+            wanted = self.batch.commands.labels(labels, self.observation.state)[ids]
         columns |= {
             "action": wanted,
             "given_action": given,
-            "executed_action": self.batch.executed.copy(),
+            "executed_action": self.batch.executed[ids],
         }
         terminated, full = np.zeros((2, self.batch.size), bool)
-        for i, recorder in self._recorders.items():
-            recorder.add(columns, i, images)
+        for row, i in enumerate(ids):
+            recorder = self._recorders[i]
+            frame = {name: values[row] for name, values in columns.items()}
+            recorder.add(frame, {view: pixels[i] for view, pixels in images.items()})
             terminated[i], full[i] = recorder.settled(self.batch.rule), recorder.full
         return terminated, full & ~terminated
+
+    def world_state(self, observation: Observation) -> WorldState:
+        """Return what an expert sees, of the worlds that play."""
+        return self.batch.world_state(observation, self.playing)
 
     def success(self, i: int) -> bool:
         """Return the verdict on what world ``i`` has played so far."""
@@ -161,7 +169,7 @@ def play(
         if not session.playing.size:
             return
         observation = session.observe(images=(images or actor.sees_images) and not later)
-        commands = actor.commands(observation, batch.world_state)
+        commands = actor.commands(observation, session.world_state)
         terminated, truncated = session.step(commands, actor.labels, actor.control_mode)
         for i in np.flatnonzero(terminated | truncated):
             job = session.job(int(i))
@@ -191,9 +199,10 @@ def record(
     """
     recipe = recording.recipe
     batch = WorldBatch(recipe.rules, min(batch_size, max(1, len(seeds))), threads)
-    expert = Demonstrator(EXPERTS[recording.expert_name](), recording.perturbed_share)
+    expert = EXPERTS[recording.expert_name]()
+    demonstrator = Labelled(expert, perturbed_share=recording.perturbed_share)
     jobs = _fresh_jobs(recipe, seeds, threads)
-    for episode in _in_order(play(batch, expert, jobs, images=images, retry=True)):
+    for episode in _in_order(play(batch, demonstrator, jobs, images=images, retry=True)):
         if episode.success or recording.keep_failures:
             yield episode
 
@@ -219,7 +228,7 @@ def record_on_policy(
     """
     for first in range(0, len(seeds), DEFAULT_BATCH):
         group = seeds[first : first + DEFAULT_BATCH]
-        agent = LabelledAgent(make_agent(group[0]), recording.teacher(), recording.actor)
+        agent = Labelled(recording.teacher(), make_agent(group[0]), name=recording.actor)
         jobs = _fresh_jobs(recording.recipe, group, threads)
         batch = WorldBatch(recording.recipe.rules, len(group), threads)
         yield from _in_order(play(batch, agent, jobs, images=images))

@@ -22,8 +22,8 @@ from dynahoi_lerobot.rules import Rules
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK_ID
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
 from dynahoi_lerobot.scene.model import SIDE_CAMERA
+from dynahoi_lerobot.scene.pinhole import Pinhole
 from dynahoi_lerobot.world.batch import WorldBatch
-from dynahoi_lerobot.world.sensors import camera_pose, intrinsics
 
 
 @dataclass(frozen=True)
@@ -64,28 +64,32 @@ JUDGED = ("state", "localized", "palm_distance", *CONTACTS)
 """Columns from which the capture rule reads its verdict."""
 
 
-def measure_frame(batch: WorldBatch, observation: Observation) -> dict[str, np.ndarray]:
-    """Return what is recorded of all N worlds at this frame besides images, (N, ...) each, by name
-    in ``Episode``.
+def measure_frame(
+    batch: WorldBatch, observation: Observation, ids: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Return what is recorded of worlds ``ids`` (n,) at this frame besides images, (n, ...) each,
+    by name in ``Episode``.
     """
     features = frame_features(0, contact_sensors=batch.rule.uses_contact_sensors)
     columns = {
-        feature.name: getattr(observation, feature.name) for feature in features if feature.observed
+        feature.name: getattr(observation, feature.name)[ids]
+        for feature in features
+        if feature.observed
     }
     if observation.sighting is not None:
-        columns["sighting"] = observation.sighting
-    contacts, tips_m = batch.contacts, batch.tip_distance()
-    touching = contacts.finger_force_n > 0 if batch.rule.uses_contact_sensors else tips_m <= TOUCH_M
+        columns["sighting"] = observation.sighting[ids]
+    contacts, tips_m = batch.contacts, batch.tip_distance(ids)
+    pressed = contacts.finger_force_n[ids] > 0
     return columns | {
-        "fingertips": batch.fingertips(),
-        "target_pose": batch.target_pose,
-        "target_velocity": batch.target_velocity,
-        "target_contacts": touching,
-        "palm_distance": batch.palm_distance.copy(),
+        "fingertips": batch.fingertips(ids),
+        "target_pose": batch.target_pose[ids],
+        "target_velocity": batch.target_velocity[ids],
+        "target_contacts": pressed if batch.rule.uses_contact_sensors else tips_m <= TOUCH_M,
+        "palm_distance": batch.palm_distance[ids],
         "fingertip_distance": np.maximum(tips_m.min(axis=1), 0.0),
-        "localized": batch.localized.copy(),
-        "visual_state": batch.visual_state,
-        **{name: getattr(contacts, name).copy() for name in CONTACTS},
+        "localized": batch.localized[ids],
+        "visual_state": batch.visual_state[ids],
+        **{name: getattr(contacts, name)[ids] for name in CONTACTS},
     }
 
 
@@ -99,19 +103,18 @@ class WorldRecorder:
     localized_frames: int = 0
     succeeded: bool = False
 
-    def add(self, columns: dict[str, np.ndarray], i: int, images: dict[str, np.ndarray]) -> None:
-        """Record a frame of world ``i``, each array of all worlds.
+    def add(self, frame: dict[str, np.ndarray], images: dict[str, np.ndarray]) -> None:
+        """Record a frame.
 
         Args:
-            columns: what was measured, and ``action``, ``given_action`` and ``executed_action`` of
+            frame: what was measured, and ``action``, ``given_action`` and ``executed_action`` of
                 the step from it.
-            i: the world.
-            images: (N, H, W, 3) uint8 by view, if any.
+            images: (H, W, 3) uint8 by view, if any.
         """
-        self.frames.append({name: values[i] for name, values in columns.items()})
-        self.localized_frames += bool(columns["localized"][i])
+        self.frames.append(frame)
+        self.localized_frames += bool(frame["localized"])
         for view, pixels in images.items():
-            self.images.setdefault(view, []).append(pixels[i])
+            self.images.setdefault(view, []).append(pixels)
 
     def settled(self, rule: CaptureRule) -> bool:
         """Tell whether the episode may end because the rule has settled its outcome."""
@@ -230,7 +233,8 @@ def episode_constants(
     """Return what does not change in an episode, by name in ``Episode``; ``meeting`` is the plan at
     control start.
     """
-    model = batch.scene.model
+    ego = Pinhole.of(batch.scene.model, EGO_VIEW)
+    side = Pinhole.of(batch.scene.model, SIDE_CAMERA)
     return object_constants(spec.motion, spec.target) | {
         "home_position": spec.home_pos_w,
         "target_path": spec.target_path_w - spec.home_pos_w,
@@ -238,10 +242,10 @@ def episode_constants(
         "intercept_time": spec.intercept_frame * CONTROL_DT,
         "open_joints": spec.open_joints,
         "reference_joints": spec.reference_joints,
-        "ego_camera": camera_pose(model, EGO_VIEW),
-        "side_camera": camera_pose(model, SIDE_CAMERA),
-        "ego_intrinsics": intrinsics(model, EGO_VIEW, batch.cameras.image_size),
-        "side_intrinsics": intrinsics(model, SIDE_CAMERA, batch.cameras.image_size),
+        "ego_camera": ego.pose,
+        "side_camera": side.pose,
+        "ego_intrinsics": ego.intrinsics(batch.cameras.image_size),
+        "side_intrinsics": side.intrinsics(batch.cameras.image_size),
         "hand_limits": [
             batch.commands.palm_speed_m_s,
             batch.control.joint_speed_rad_s,

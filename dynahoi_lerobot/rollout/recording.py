@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
+from dynahoi_lerobot.core.agent import Expert
 from dynahoi_lerobot.core.arguments import option
 from dynahoi_lerobot.core.nested import as_json, changed, field_names, flat, nested
 from dynahoi_lerobot.core.reading import decoded, read_yaml, reading
 from dynahoi_lerobot.core.registry import known
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.experts.base import Teacher
 from dynahoi_lerobot.sampling.recipe import Recipe
 
 ACTOR = re.compile(r"[a-z0-9_]+@[0-9a-f]{16}")
@@ -77,16 +77,16 @@ class Recording:
         """The expert that demonstrates, or labels the states of the actor."""
         return self.expert or self.recipe.rules.capture_rule.expert
 
-    def teacher(self) -> Teacher:
+    def teacher(self) -> Expert:
         """Return the expert as a teacher.
 
         Raises:
             ValueError: if it cannot label whatever state somebody else gets into.
         """
         expert = EXPERTS[self.expert_name]()
-        if isinstance(expert, Teacher):
+        if expert.labels_any_state:
             return expert
-        able = ", ".join(name for name, kind in EXPERTS.items() if issubclass(kind, Teacher))
+        able = ", ".join(name for name, kind in EXPERTS.items() if kind.labels_any_state)
         raise ValueError(
             f"on-policy recordings need an expert that labels any state ({able}), got "
             f"{self.expert_name!r} of capture rule {self.recipe.rules.capture!r}"

@@ -14,10 +14,10 @@ from typing import Self
 import numpy as np
 
 from dynahoi_lerobot.core.agent import Actor, Agent, Expert, Meeting, Observation, WorldState
+from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.core.conventions import DISTURBANCE_STREAM, PALM_DOF
 from dynahoi_lerobot.core.protocols import ControlClass
 from dynahoi_lerobot.core.spec import EpisodeSpec
-from dynahoi_lerobot.experts.base import Teacher
 
 PULL_ODDS = 0.15
 """Probability that a pull begins in a frame without one."""
@@ -32,13 +32,6 @@ TREMOR_ODDS, TREMOR_M = 0.5, 0.006
 PERTURBED_ATTEMPTS = 3
 """Attempts at an episode that are perturbed, each differently. A further attempt is not, so that
 targets that pass only once are recorded too."""
-
-
-def labels(teacher: Expert, world: WorldState) -> np.ndarray:
-    """Return (N, 18) a `Teacher`'s goals, or the next commands of any other expert: [m], home
-    frame, and [rad].
-    """
-    return teacher.goals(world) if isinstance(teacher, Teacher) else teacher.act(world)
 
 
 @dataclass
@@ -104,71 +97,74 @@ class Perturbation:
         return self.destinations[begin]
 
 
-class Demonstrator(Expert):
-    """A recorded expert: it executes its own labels, perturbed in some episodes."""
+class Labelled(Actor):
+    """A hand whose every frame a teacher labels.
 
-    def __init__(self, expert: Expert, perturbed_share: float) -> None:
-        """Record ``expert``, perturbed in a share (0 to 1) of the episodes if it is a `Teacher`,
-        which recovers.
-        """
-        self.name, self.retries, self._expert = expert.name, expert.retries, expert
-        self._share = perturbed_share if isinstance(expert, Teacher) else 0.0
-        if self._share:
-            self.retries = max(expert.retries, PERTURBED_ATTEMPTS)
-        self._perturbations: dict[int, Perturbation] = {}
-
-    def first_meeting(self, spec: EpisodeSpec, control: ControlClass) -> Meeting | None:
-        """Return the meeting that the expert plans."""
-        return self._expert.first_meeting(spec, control)
-
-    def act(self, world: WorldState) -> np.ndarray:
-        """Return (N, 18) the labels, with the palms of some worlds perturbed."""
-        self.labels = labels(self._expert, world)
-        commands = self.labels.copy()
-        for i, spec in enumerate(world.specs):
-            frame = int(world.frame[i])
-            if (
-                spec is not None
-                and self._share
-                and not world.localized[i]
-                and frame < spec.horizon_frames
-            ):
-                perturbation, palm = (
-                    self._perturbation(i, spec, int(world.attempt[i])),
-                    world.state_when_due[i],
-                )
-                commands[i, :PALM_DOF] = perturbation(
-                    frame, palm[:PALM_DOF], commands[i, :PALM_DOF]
-                )
-        return commands
-
-    def _perturbation(self, i: int, spec: EpisodeSpec, attempt: int) -> Perturbation:
-        """Return the perturbation of world ``i``, drawn when its episode or attempt is new."""
-        known = self._perturbations.get(i)
-        if known is None or known.spec is not spec or known.attempt != attempt:
-            known = self._perturbations[i] = Perturbation.drawn(spec, attempt, self._share)
-        return known
-
-
-class LabelledAgent(Actor):
-    """A policy that moves the hand while a teacher labels the states it visits (DAgger; Ross et
-    al., 2011).
+    The teacher moves it by its own labels, perturbed in some episodes (DART); or an agent moves it,
+    which sees only observations (DAgger; Ross et al., 2011).
     """
 
-    privileged = False
-    has_memory = True
+    def __init__(
+        self,
+        teacher: Expert,
+        agent: Agent | None = None,
+        *,
+        name: str = "",
+        perturbed_share: float = 0.0,
+    ) -> None:
+        """Let ``teacher`` label what ``agent`` does, or else what it does itself.
 
-    def __init__(self, agent: Agent, teacher: Teacher, name: str) -> None:
-        self.name, self._agent, self._teacher = name, agent, teacher
-        self.sees_images, self.control_mode = agent.sees_images, agent.control_mode
+        Args:
+            teacher: if an agent moves the hand, one that ``labels_any_state``.
+            agent: moves the hand; None if the teacher does.
+            name: labels results; by default the teacher's.
+            perturbed_share: of the episodes that the teacher plays, 0 to 1; one that does not label
+                any state would not recover and is left alone.
+        """
+        self.name = name or teacher.name
+        self.privileged = agent is None
+        self.has_memory = agent is not None
+        self.sees_images = agent is not None and agent.sees_images
+        self.control_mode = JOINTS if agent is None else agent.control_mode
+        self._teacher = teacher
+        self._agent = agent
+        self._share = perturbed_share if teacher.labels_any_state else 0.0
+        self.retries = max(teacher.retries, PERTURBED_ATTEMPTS) if self._share else teacher.retries
+        self._perturbations: dict[int, Perturbation] = {}
 
     def reset(self, count: int) -> None:
-        """Forget the last episodes."""
-        self._agent.reset(count)
+        """Let the agent forget the last episodes."""
+        if self._agent is not None:
+            self._agent.reset(count)
+
+    def first_meeting(self, spec: EpisodeSpec, control: ControlClass) -> Meeting | None:
+        """Return the meeting that the teacher plans if it moves the hand."""
+        return self._teacher.first_meeting(spec, control) if self._agent is None else None
 
     def commands(
         self, observation: Observation, world_state: Callable[[Observation], WorldState]
     ) -> np.ndarray:
-        """Return (N, 18) the commands of the policy, which sees only the observation."""
-        self.labels = labels(self._teacher, world_state(observation))
-        return self._agent.act(observation)
+        """Return (N, 18) the agent's commands, or the labels with the palms of some worlds
+        perturbed.
+        """
+        world = world_state(observation)
+        self.labels = self._teacher.label(world)
+        if self._agent is not None:
+            return self._agent.act(observation)
+        commands = self.labels.copy()
+        for i, spec in enumerate(world.specs):
+            if spec is not None and self._share and not world.localized[i]:
+                self._perturb(commands[i, :PALM_DOF], world, i, spec)
+        return commands
+
+    def _perturb(self, palm_h: np.ndarray, world: WorldState, i: int, spec: EpisodeSpec) -> None:
+        """Change (3,) the palm's command in world ``i`` [m], home frame, in place."""
+        frame = int(world.frame[i])
+        attempt = int(world.attempt[i])
+        if frame >= spec.horizon_frames:
+            return
+        known = self._perturbations.get(i)
+        if known is None or known.spec is not spec or known.attempt != attempt:
+            known = Perturbation.drawn(spec, attempt, self._share)
+            self._perturbations[i] = known
+        palm_h[:] = known(frame, world.state_when_due[i, :PALM_DOF], palm_h.copy())

@@ -73,14 +73,21 @@ def find_homes(
     """
     start, intercept = timing.window_frames, timing.intercept_frame
     meeting = paths_w[0][intercept]
-    homes = meeting - timing.travel_m * _draw_directions(rng)
-    homes = homes.astype(np.float32).astype(np.float64)  # as datasets store it
+    homes = tried_homes(meeting, timing.travel_m, rng)
     homes = homes[_in_workspace(homes)]
     for path_w in paths_w:
         homes = homes[~_reachable_earlier(path_w[start:intercept], homes)]
         homes = homes[_clear_of(path_w[start : intercept + 1], homes)]
         homes = homes[_watches(path_w[: start + 1], homes)]
     return homes[keeps_clear(homes, meeting, fixtures)]
+
+
+def tried_homes(meeting_w: np.ndarray, travel_m: float, rng: np.random.Generator) -> np.ndarray:
+    """Draw the (K, 3) positions [m], world, that ``find_homes`` tries, best first: ``travel_m`` [m]
+    away from where the target is met (3,) [m], world.
+    """
+    homes = meeting_w - travel_m * _draw_directions(rng)
+    return homes.astype(np.float32).astype(np.float64)  # as datasets store it
 
 
 def choose_home(

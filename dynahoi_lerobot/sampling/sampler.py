@@ -2,10 +2,13 @@
 the target.
 """
 
+from __future__ import annotations
+
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
+from typing import Any
 
 import numpy as np
 
@@ -16,8 +19,9 @@ from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.motions import MOTIONS, Draw, Motion, PrescribedMotion, Retimed
 from dynahoi_lerobot.motions.launch import Box
 from dynahoi_lerobot.objects import OBJECTS, TargetObject
+from dynahoi_lerobot.sampling.accepted import begin_at, checksum_of, entries_of
 from dynahoi_lerobot.sampling.fingerprint import recipe_code
-from dynahoi_lerobot.sampling.homes import choose_home, find_homes, in_arena
+from dynahoi_lerobot.sampling.homes import choose_home, find_homes, in_arena, tried_homes
 from dynahoi_lerobot.sampling.randomization import randomize_appearance
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.salt import salt_words, stream_label
@@ -56,16 +60,31 @@ def sample_specs(recipe: Recipe, seeds: Sequence[int], *, threads: int = 1) -> l
         ValueError: for a negative seed, or if no motion ever fits (the message names motion and
             seed).
     """
+    specs = _known_specs(recipe, seeds, threads)
+    others = [i for i in range(len(seeds)) if i not in specs]
+    found = search(recipe, [seeds[i] for i in others], threads=threads)
+    specs |= {i: spec for i, (_, spec) in zip(others, found, strict=True)}
+    return [specs[i] for i in range(len(seeds))]
+
+
+def search(
+    recipe: Recipe, seeds: Sequence[int], *, threads: int = 1
+) -> list[tuple[Candidate, EpisodeSpec]]:
+    """Return what ``sample_specs`` returns, with the candidates that were accepted, drawn from
+    the beginning also where `accepted` knows the end.
+
+    Arguments and errors are those of ``sample_specs``.
+    """
     pending = {i: Candidate(recipe, seed) for i, seed in enumerate(seeds)}
-    specs: dict[int, EpisodeSpec] = {}
-    for attempt in range(1, MAX_ATTEMPTS + 1):
-        specs |= _attempt(recipe, pending, threads)
-        pending = {i: candidate for i, candidate in pending.items() if i not in specs}
-        if not pending:
-            return [specs[i] for i in range(len(seeds))]
+    found: dict[int, tuple[Candidate, EpisodeSpec]] = {}
+    for attempt in range(MAX_ATTEMPTS):
         if attempt % ATTEMPTS_PER_TIMING == 0:
             for candidate in pending.values():
                 candidate.draw_timing()
+        specs = _attempt(recipe, pending, threads)
+        found |= {i: (pending.pop(i), spec) for i, spec in specs.items()}
+        if not pending:
+            return [found[i] for i in range(len(seeds))]
     failed = next(iter(pending.values()))
     raise ValueError(
         f"motion {failed.kind.name!r} never came into reach and view for seed {failed.seed}"
@@ -86,17 +105,19 @@ class Candidate:
         kind: its kind of motion; kinds take turns with the seed.
         rng: the episode's random numbers.
         timing: frames and travel last drawn.
+        start: state of ``rng`` before motion and object were last drawn.
         motions, target: motion and object last drawn; unset before the first ``draw_motion``. One
             motion for each of the recipe's path speeds: what is accepted or refused is an episode
             with all its twins.
     """
 
     timing: Timing
+    start: Mapping[str, Any]
     motions: list[Motion]
     target: TargetObject
 
     def __init__(self, recipe: Recipe, seed: int) -> None:
-        """Draw the first timing of a seed.
+        """Begin before the first draw of a seed.
 
         Raises:
             ValueError: if the seed is negative or too large to be stored, or of the recipe's salt
@@ -108,7 +129,6 @@ class Candidate:
         self.recipe, self.seed, self.kind = recipe, seed, MOTIONS[names[seed % len(names)]]
         stream = zlib.crc32(recipe.split_definition.stream.encode())
         self.rng = np.random.default_rng([stream, seed, *salt_words(recipe.salt)])
-        self.draw_timing()
 
     def draw_timing(self) -> None:
         """Draw duration and travel, and leave the capture rule the frames it needs after the
@@ -124,6 +144,7 @@ class Candidate:
         Raises:
             ValueError: if none of the recipe's objects can move this way.
         """
+        self.start = self.rng.bit_generator.state
         self.target = self._draw_target()
         split, window_s = self.recipe.split_definition, self.timing.window_frames * CONTROL_DT
         fastest = split.path_speeds[-1]
@@ -204,32 +225,94 @@ class Candidate:
         return with_screen(spec) if PROTOCOLS[self.recipe.rules.protocol].has_screen else spec
 
 
+def _known_specs(recipe: Recipe, seeds: Sequence[int], threads: int) -> dict[int, EpisodeSpec]:
+    """Return those episodes that `accepted` knows, by their place in ``seeds``."""
+    entries = entries_of(recipe)
+    places = [i for i, seed in enumerate(seeds) if seed in entries]
+    known = [(seeds[i], entries[seeds[i]]) for i in places]
+    specs = {}
+    for i, (candidate, paths_w, homes) in zip(
+        places, resume(recipe, known, threads=threads), strict=True
+    ):
+        entry = entries[candidate.seed]
+        home_pos_w = homes[entry["home"]]
+        if checksum_of(paths_w, home_pos_w, candidate.target) == entry["checksum"]:
+            specs[i] = candidate.accept(paths_w, home_pos_w)
+    return {i: spec for i, spec in specs.items() if spec is not None}
+
+
+def resume(
+    recipe: Recipe, known: Sequence[tuple[int, np.void]], *, threads: int = 1
+) -> list[tuple[Candidate, list[np.ndarray], np.ndarray]]:
+    """Repeat the accepted draws alone.
+
+    Args:
+        recipe: what to draw from.
+        known: pairs of a seed and its entry.
+        threads: for rolling targets ahead; the result does not depend on it.
+
+    Returns:
+        For each seed the candidate; the (F, 3) paths [m], world, of its motions; and the (K, 3)
+        homes that are tried for them [m], world.
+    """
+    candidates = [Candidate(recipe, seed) for seed, _ in known]
+    for candidate, (_, entry) in zip(candidates, known, strict=True):
+        candidate.timing = begin_at(entry, candidate.rng)
+        candidate.draw_motion()
+    ahead = _TargetsAhead(recipe, dict(enumerate(candidates)), threads)
+    paths_w = ahead.paths({i: c.timing.path_frames for i, c in enumerate(candidates)})
+    return [
+        (
+            candidate,
+            paths_w[i],
+            tried_homes(
+                paths_w[i][0][candidate.timing.intercept_frame],
+                candidate.timing.travel_m,
+                candidate.rng,
+            ),
+        )
+        for i, candidate in enumerate(candidates)
+    ]
+
+
 def _attempt(recipe: Recipe, pending: dict[int, Candidate], threads: int) -> dict[int, EpisodeSpec]:
     """Draw a motion for every pending candidate, roll all targets ahead together; return the
     episodes that fit.
     """
-    drawn = [(i, candidate) for i, candidate in pending.items() if candidate.draw_motion()]
-    worlds = [(candidate, motion) for _, candidate in drawn for motion in candidate.motions]
-    motions, targets = (
-        [motion for _, motion in worlds],
-        [candidate.target for candidate, _ in worlds],
-    )
-    longest = [candidate.timing.path_frames for candidate, _ in worlds]
-    ahead = RollAhead(motions, targets, longest, hand=recipe.rules.hand_name, threads=threads)
-    rows = iter(range(len(worlds)))
-    rows_of = {i: list(islice(rows, len(candidate.motions))) for i, candidate in drawn}
-    near = ahead.paths({row: c.timing.intercept_frame + 1 for i, c in drawn for row in rows_of[i]})
-    homes = {
-        i: find_homes([near[row] for row in rows_of[i]], c.timing, c.fixtures, c.rng)
-        for i, c in drawn
-    }
-    reached = [(i, candidate) for i, candidate in drawn if len(homes[i])]
-    whole = ahead.paths({row: c.timing.path_frames for i, c in reached for row in rows_of[i]})
-    paths = {i: [whole[row] for row in rows_of[i]] for i, _ in reached}
+    drawn = {i: candidate for i, candidate in pending.items() if candidate.draw_motion()}
+    ahead = _TargetsAhead(recipe, drawn, threads)
+    near = ahead.paths({i: c.timing.intercept_frame + 1 for i, c in drawn.items()})
+    homes = {i: find_homes(near[i], c.timing, c.fixtures, c.rng) for i, c in drawn.items()}
+    reached = {i: candidate for i, candidate in drawn.items() if len(homes[i])}
+    whole = ahead.paths({i: candidate.timing.path_frames for i, candidate in reached.items()})
     return {
         i: spec
-        for i, candidate in reached
-        if all(map(in_arena, paths[i]))
-        and (home := choose_home(paths[i], candidate.timing, homes[i])) is not None
-        and (spec := candidate.accept(paths[i], home)) is not None
+        for i, candidate in reached.items()
+        if all(map(in_arena, whole[i]))
+        and (home := choose_home(whole[i], candidate.timing, homes[i])) is not None
+        and (spec := candidate.accept(whole[i], home)) is not None
     }
+
+
+class _TargetsAhead:
+    """The undisturbed targets of candidates, all rolled ahead together."""
+
+    def __init__(self, recipe: Recipe, candidates: Mapping[int, Candidate], threads: int) -> None:
+        """Put the targets of the motions last drawn, by candidate, where they start."""
+        rows = iter(range(sum(len(candidate.motions) for candidate in candidates.values())))
+        self._rows = {i: list(islice(rows, len(c.motions))) for i, c in candidates.items()}
+        self._ahead = RollAhead(
+            [motion for c in candidates.values() for motion in c.motions],
+            [c.target for c in candidates.values() for _ in c.motions],
+            [c.timing.path_frames for c in candidates.values() for _ in c.motions],
+            hand=recipe.rules.hand_name,
+            threads=threads,
+        )
+
+    def paths(self, frames: Mapping[int, int]) -> dict[int, list[np.ndarray]]:
+        """Return the (F, 3) path [m], world, of each motion of some candidates, over the wanted
+        numbers of frames F.
+        """
+        wanted = {row: count for i, count in frames.items() for row in self._rows[i]}
+        paths = self._ahead.paths(wanted)
+        return {i: [paths[row] for row in self._rows[i]] for i in frames}

@@ -17,6 +17,7 @@ from dynahoi_lerobot.core.conventions import (
     INTERCEPT_SPEED_M_S,
     MIN_WINDOW_FRAMES,
     WINDOW_FRACTION,
+    frames_until,
 )
 from dynahoi_lerobot.core.numerics import cbrt
 from dynahoi_lerobot.core.protocols import PROTOCOLS
@@ -67,9 +68,7 @@ def window_frames(length_frames: int) -> int:
 
 def approach_frames(travel_m: float) -> int:
     """Return how many frames the hand needs for ``travel_m`` [m] at its fixed speed, at least 5."""
-    return max(
-        MIN_APPROACH_FRAMES, int(np.ceil(travel_m / (INTERCEPT_SPEED_M_S * CONTROL_DT) - 1e-9))
-    )
+    return max(MIN_APPROACH_FRAMES, frames_until(travel_m / INTERCEPT_SPEED_M_S))
 
 
 def draw_timing(kind: str, protocol: str, rng: np.random.Generator) -> Timing:

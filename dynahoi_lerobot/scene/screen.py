@@ -13,7 +13,7 @@ from typing import Self
 
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import CONTROL_DT, SCREEN_STREAM
+from dynahoi_lerobot.core.conventions import CONTROL_DT, SCREEN_STREAM, frames_until
 from dynahoi_lerobot.core.numerics import arcsin, arctan2, norm, product, quat_to_matrix, runs, tan
 from dynahoi_lerobot.core.protocols import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS
 from dynahoi_lerobot.core.spec import EpisodeSpec
@@ -94,7 +94,7 @@ class Sight:
             target_w=spec.target_path_w[:meeting],
             radius_m=enclosing_radius_m(spec.target),
             inner_m=INNER_SHARE * spec.target.grasp_radius_m,
-            release_frame=int(np.ceil(release_s / CONTROL_DT - 1e-9)),
+            release_frame=frames_until(release_s),
             window_frames=spec.window_frames,
         )
 

@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from dynahoi_lerobot.core.arguments import argument, option, whole
 from dynahoi_lerobot.core.escaping import printable
-from dynahoi_lerobot.core.reading import ReadError, decoded, reading
+from dynahoi_lerobot.core.reading import ReadError, reading, validated
 from dynahoi_lerobot.dataset.manifest import ENCODED, Manifest, has_own_card
 from dynahoi_lerobot.dataset.paths import CARD_PATH, MANIFEST_PATH
 from dynahoi_lerobot.dataset.store import Store
@@ -59,10 +59,11 @@ class Options:
     """Of ``dynahoi verify``."""
 
     root: Path = argument("dataset folder")
-    replay: int | None = option(
-        None,
-        "number of random episodes to regenerate from their seeds and compare, including images",
-        whole(1, 10**9),
+    replay: int = option(
+        3,
+        "number of random episodes to play again from their seeds and compare, including images; "
+        "0 replays none",
+        whole(0, 10**9),
     )
     json: Path | None = option(None, "also write the findings to this file")
 
@@ -92,7 +93,7 @@ def run(options: Options) -> int:
 def verify(
     root: Path,
     *,
-    replayed: int | None = None,
+    replayed: int = 0,
     progress: Callable[[], object] = lambda: None,
     note: Callable[[str], object] = lambda _: None,
 ) -> list[Finding]:
@@ -100,10 +101,10 @@ def verify(
 
     Args:
         root: the dataset's folder.
-        replayed: how many episodes are made again from their seeds and compared; they are drawn at
-            random.
+        replayed: how many episodes are played again from their seeds and compared; they are drawn
+            at random. Without a recording in the manifest, or with a secret salt, none can be.
         progress: called after each episode whose verdict was checked.
-        note: told in a sentence what a replay found equal.
+        note: told in a sentence what a replay found equal, and what could not be checked.
 
     Returns:
         At most ``SHOWN`` findings per claim and a count of the rest; empty if all claims hold. If a
@@ -112,10 +113,10 @@ def verify(
 
     Raises:
         FileNotFoundError: if ``root`` holds no dataset.
-        ValueError: if no episode is to be replayed; None replays nothing.
+        ValueError: if a negative number of episodes is to be replayed.
     """
-    if replayed is not None and replayed < 1:
-        raise ValueError(f"the number of episodes to replay is {replayed}; it must be 1 or more")
+    if replayed < 0:
+        raise ValueError(f"the number of episodes to replay is {replayed}; it must be 0 or more")
     store = Store(root)
     try:
         manifest = Manifest.read(root) if (root / MANIFEST_PATH).exists() else None
@@ -143,20 +144,30 @@ def verify(
     findings += _guarded("seeds", seed_problems(store, manifest, recording, note))
     findings += _guarded("verdicts", _verdicts(store, recording, progress))
     if replayed and not encoded:
-        drawn = drawn_evenly(store, replayed, np.random.default_rng())
-        note(f"replaying the episodes {', '.join(map(str, drawn))}")
-        findings += _guarded("replay", replay_problems(store, drawn, recording, note))
+        findings += _guarded("replay", _replay(store, recording, replayed, note))
     return findings
+
+
+def _replay(
+    store: Store, recording: Recording | None, count: int, note: Callable[[str], object]
+) -> Iterator[str]:
+    if recording is None:
+        return note("the manifest describes no recording that can be played again")
+    if recording.recipe.salt:
+        return note("its episodes are hidden behind a salt, so none was played again")
+    drawn = drawn_evenly(store, count, np.random.default_rng())
+    note(f"replaying the episodes {', '.join(map(str, drawn))}")
+    yield from replay_problems(store, drawn, recording, note)
 
 
 def _verdicts(
     store: Store, recording: Recording | None, progress: Callable[[], object]
 ) -> Iterator[str]:
     hand = recording.recipe.rules.hand_name if recording else None
-    for row, table in store.stored_episodes():
-        where = f"episode {row['episode_index']}: "
+    for stored in store.stored_episodes():
+        where = f"episode {stored.row['episode_index']}: "
         try:
-            episode = store.as_episode(row, table, images=False)
+            episode = store.as_episode(stored, images=False)
             problems = list(verdict_problems(episode, hand))
         except (LookupError, ValueError, TypeError) as error:
             problems = [f"it cannot be judged: {type(error).__name__}: {error}"]
@@ -170,7 +181,7 @@ def _recording(manifest: Manifest) -> Recording | None:
     """
     with suppress(ReadError), reading(Path(MANIFEST_PATH)):
         stored = manifest.provenance.get("recording")
-        return None if stored is None else decoded(Recording, stored)
+        return None if stored is None else validated(Recording, stored)
     return None
 
 

@@ -5,13 +5,14 @@ Of an edited dataset only LeRobot's format is checked: what we add to it is gone
 """
 
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 from av.error import FFmpegError
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
-from dynahoi_lerobot.core.reading import ReadError, open_table
+from dynahoi_lerobot.core.reading import ReadError, open_table, read_object
 from dynahoi_lerobot.dataset.columns import BOOKKEEPING, bookkeeping_arrays, column_array
 from dynahoi_lerobot.dataset.episode_table import FACTS, EpisodeRow
 from dynahoi_lerobot.dataset.manifest import Manifest, changed_files, structure_problems
@@ -19,14 +20,18 @@ from dynahoi_lerobot.dataset.paths import (
     CODEBASE_VERSION,
     DATA_PATH,
     MANIFEST_PATH,
-    TASKS_PATH,
+    STATS_PATH,
     VIDEO_PATH,
     check_root,
 )
-from dynahoi_lerobot.dataset.store import Store
+from dynahoi_lerobot.dataset.store import Store, frame_column
 from dynahoi_lerobot.dataset.video import stored_packets, stream_problem
 
 TOOL = "another tool, such as lerobot-edit-dataset, has edited this dataset"
+ACTION = "action"
+OUTSIDE, ROUNDING = 0.03, 1e-6
+"""Share of an action's numbers that may lie outside its quantiles, and by how much they may without
+being counted."""
 SHOWN = 4
 """Files that a sentence names."""
 EXACT_S = 1e-6
@@ -37,7 +42,7 @@ def unreadable(store: Store) -> Iterator[str]:
     """Yield a sentence for each table that cannot be read; without them nothing else can be
     checked.
     """
-    for path in (store.root / TASKS_PATH, *store.row_files(), *store.data_files()):
+    for path in store.tables():
         try:
             store.table(path)
         except ReadError as error:
@@ -61,16 +66,14 @@ def edited(store: Store, manifest: Manifest | None) -> str | None:
     none, else None.
     """
     if manifest is None:
-        held = {
-            name for path in store.row_files() for name in open_table(path, ()).schema_arrow.names
-        }
+        held = {name for path in store.row_files() for name in open_table(path).schema_arrow.names}
         lost = [name for name in FACTS if name not in held]
-        columns = (
-            f", and so are our columns of the episode table ({', '.join(lost[:3])}, ...)"
-            if lost
-            else ""
-        )
-        told = f"{MANIFEST_PATH} is gone{columns}"
+        gone = [MANIFEST_PATH]
+        gone += [] if any(store.privileged.files()) else ["the privileged tables"]
+        gone += [f"our columns of the episode table ({', '.join(lost[:3])}, ...)"] if lost else []
+        told = f"{' and '.join(gone)} {'are' if len(gone) > 1 else 'is'} gone"
+        if any(store.privileged.files()) and store.privileged.problem:
+            told += ", and the privileged tables are those of other episodes"
     elif changed := changed_files(store.root, manifest):
         more = f" and {len(changed) - SHOWN} more" if len(changed) > SHOWN else ""
         has = "has" if len(changed) == 1 else "have"
@@ -78,10 +81,26 @@ def edited(store: Store, manifest: Manifest | None) -> str | None:
     else:
         return None
     return (
-        f"edited: {told}: {TOOL}, so only LeRobot's format can be checked; `dynahoi filter` "
-        f"copies episodes with "
-        "everything"
+        f"edited: {told}: {TOOL}, so only LeRobot's format can be checked{_averaged(store)}; "
+        f"`dynahoi filter` drops episodes and keeps everything of the others"
     )
+
+
+def _averaged(store: Store) -> str:
+    """Return what to add if the quantiles of the actions are not those of the actions: LeRobot's
+    tools average the quantiles of episodes.
+    """
+    with suppress(ReadError, TypeError, ValueError, KeyError):
+        told = read_object(store.root / STATS_PATH)[ACTION]
+        low, high = (np.asarray(told[name], float) for name in ("q01", "q99"))
+        values = frame_column(store.root, ACTION).astype(float)
+        outside = float(np.mean((values < low - ROUNDING) | (values > high + ROUNDING)))
+        if outside > OUTSIDE:
+            return (
+                f", and {outside:.0%} of the numbers in {ACTION!r} lie outside q01 to q99 of "
+                f"{STATS_PATH}, where 2 % should: LeRobot averaged the quantiles of episodes"
+            )
+    return ""
 
 
 def format_problems(store: Store) -> Iterator[str]:
@@ -93,14 +112,14 @@ def format_problems(store: Store) -> Iterator[str]:
 
 
 def _info(store: Store) -> Iterator[str]:
-    frames = sum(open_table(path, ()).metadata.num_rows for path in store.data_files())
+    frames = sum(open_table(path).metadata.num_rows for path in store.data_files())
     if frames != (told := sum(row["length"] for row in store.rows)):
         yield f"the data files hold {frames} frames; their episodes have {told}"
     wanted = {
         "codebase_version": CODEBASE_VERSION,
         "fps": CONTROL_HZ,
         "data_path": DATA_PATH,
-        **({"video_path": VIDEO_PATH} if store.has_video else {}),
+        **({"video_path": VIDEO_PATH} if store.video_keys else {}),
         "total_episodes": store.episodes,
         "total_frames": frames,
         "total_tasks": len(store.tasks),
@@ -116,7 +135,7 @@ def _places(store: Store) -> Iterator[str]:
     for row in store.rows:
         files = [
             store.data_path(row),
-            *(store.video_path(row, key) for key in store.image_keys if store.has_video),
+            *(store.video_path(row, key) for key in store.video_keys),
         ]
         yield from (
             f"{path} of episode {row['episode_index']} is missing"
@@ -157,7 +176,7 @@ def video_problems(store: Store) -> Iterator[str]:
     """Yield videos that do not hold exactly their episodes' frames, each from a key frame on."""
     files: dict[tuple[str, Path], list[EpisodeRow]] = {}
     for row in store.rows:
-        for key in store.image_keys if store.has_video else []:
+        for key in store.video_keys:
             files.setdefault((key, store.video_path(row, key)), []).append(row)
     for (key, path), rows in files.items():
         name, start = path.relative_to(store.root), 0

@@ -18,14 +18,13 @@ from av.packet import Packet
 from av.video.stream import VideoStream
 
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.features import IMAGE_PREFIX, episode_features
-from dynahoi_lerobot.core.reading import decoded, open_table, read_object, read_rows, read_table
+from dynahoi_lerobot.core.features import IMAGE_PREFIX, privileged_features
+from dynahoi_lerobot.core.reading import open_table, read_object, read_rows, read_table, validated
 from dynahoi_lerobot.dataset.columns import LANGUAGE, described_features
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow, row_stats
 from dynahoi_lerobot.dataset.manifest import NOT_OURS, Manifest, has_own_card
 from dynahoi_lerobot.dataset.merge import Opened, episode_packets
 from dynahoi_lerobot.dataset.paths import CARD_PATH, MANIFEST_PATH, FileLimits
-from dynahoi_lerobot.dataset.statistics import SHARES, level_counts
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.video import Encoding, VideoFile
 from dynahoi_lerobot.dataset.writer import DatasetWriter
@@ -48,9 +47,6 @@ IMAGE_LEVELS = {
 """How far statistics of images before they were encoded may lie from those of the decoded ones
 [levels of 255], with crf 23 or less; the greatest seen are 1.7, 3.6, 10, 12, 6, 31, 14, 27 and 54.
 Video halves the resolution of colours."""
-SEGMENTATION, MOVED_SHARE = "_segmentation", 0.05
-"""How views of flat colours end, among which a quantile jumps from one to the next, and the share
-of their pixels that video may give another colour (0.023 are the most seen, at 32 px)."""
 CRF, CRF_DOUBLES = 23, 12
 """Beyond this crf, this many steps double what is allowed (seen with crf 51: 7.8 for the mean, 17
 for std)."""
@@ -66,10 +62,10 @@ def meta_problems(store: Store, manifest: Manifest) -> Iterator[str]:
     ):
         opened: dict[str, Opened] = {}
         seen: dict[bytes, int] = {}
-        for index, (row, table) in enumerate(store.stored_episodes()):
-            episode = store.as_episode(row, table, images=True)
+        for index, stored in enumerate(store.stored_episodes()):
+            episode = store.as_episode(stored, images=True)
             yield from _repeats(episode, index, seen)
-            writer.repeat(episode, row, episode_packets(store, row, opened))
+            writer.repeat(episode, stored.row, episode_packets(store, stored.row, opened))
         made, own_card = (
             writer.finish(manifest.provenance, manifest.yields),
             has_own_card(store.root, manifest),
@@ -140,17 +136,16 @@ class _Again(DatasetWriter):
     def __init__(self, root: Path, store: Store, manifest: Manifest) -> None:
         plan, described = manifest.provenance, store.features
         if "recording" in plan:
-            recording = decoded(Recording, plan["recording"])
-            columns = (*recording.recipe.rules.features, *episode_features())
-            encoding, subtasks = decoded(Encoding, plan["encoding"]), plan["subtasks"]
+            recording = validated(Recording, plan["recording"])
+            columns = (*recording.recipe.rules.features, *privileged_features())
+            encoding, subtasks = validated(Encoding, plan["encoding"]), plan["subtasks"]
         else:
-            columns = (*described_features(described).values(), *store.array_features)
+            columns = (*described_features(described).values(), *store.privileged.features)
             encoding, subtasks = store.encoding, LANGUAGE in described
         super().__init__(
             root, columns, encoding, FileLimits(**plan.get("limits", {})), subtasks=subtasks
         )
         self.videos: set[str] = set()
-        self._jumps: dict[int, dict[str, float]] = {}
 
     def repeat(self, episode: Episode, row: EpisodeRow, packets: dict[str, list[Packet]]) -> None:
         """Append a stored episode; the statistics of its images are compared with its own row
@@ -159,49 +154,20 @@ class _Again(DatasetWriter):
         self.add(episode, packets)
         for key, found in self._image_stats.items():
             found[-1] = row_stats(row, key)
-        flat = {
-            view: images for view, images in episode.images.items() if view.endswith(SEGMENTATION)
-        }
-        self._jumps[len(self._jumps)] = {
-            f"stats/{IMAGE_PREFIX}{view}/{name}": most
-            for view in flat
-            for name, most in _jumps(flat[view]).items()
-        }
 
-    def tolerance(self, column: str, episode: int) -> float:
+    def tolerance(self, column: str) -> float:
         """Return how far a column of the episode table may be from what decoded images give."""
         key, _, statistic = column.removeprefix("stats/").rpartition("/")
-        if key not in self._image_stats or not self._encoding.is_video:
+        if key not in self._video_keys:
             return 0.0
         doubled = max(0, self._encoding.crf - CRF) / CRF_DOUBLES
-        return IMAGE_LEVELS.get(statistic, 0) / 255 * 2**doubled + self._jumps.get(episode, {}).get(
-            column, 0.0
-        )
+        return IMAGE_LEVELS.get(statistic, 0) / 255 * 2**doubled
 
     def _open_video(
         self, path: Path, add_stream: Callable[[OutputContainer], VideoStream]
     ) -> VideoFile:
         self.videos.add(path.relative_to(self.root).as_posix())
         return _Unwritten()
-
-
-def _jumps(images: np.ndarray) -> dict[str, float]:
-    """Return how far each quantile of images (T, H, W, 3) goes [1] if a share of their pixels
-    changes.
-    """
-    below = np.cumsum(level_counts(images), axis=1) / np.prod(images.shape[:3])  # (3, 256)
-
-    def level(share: float) -> np.ndarray:
-        return (below < np.clip(share, 1e-9, 1.0)).sum(axis=1)
-
-    around = {
-        name: [level(share + moved) for moved in (-MOVED_SHARE, 0.0, MOVED_SHARE)]
-        for name, share in SHARES.items()
-    }
-    return {
-        name: max((here - low).max(), (high - here).max()) / 255
-        for name, (low, here, high) in around.items()
-    }
 
 
 def _repeats(episode: Episode, index: int, seen: dict[bytes, int]) -> Iterator[str]:
@@ -220,11 +186,11 @@ def _repeats(episode: Episode, index: int, seen: dict[bytes, int]) -> Iterator[s
             yield f"episode {index} repeats the {part} of episode {before}"
 
 
-def _table(stored: Path, again: Path, tolerance: Callable[[str, int], float]) -> Iterator[str]:
+def _table(stored: Path, again: Path, tolerance: Callable[[str], float]) -> Iterator[str]:
     """Yield how a table is other than it is made again; of images in it only the names are
     compared.
     """
-    one, other = open_table(stored, ()).schema_arrow, open_table(again, ()).schema_arrow
+    one, other = open_table(stored).schema_arrow, open_table(again).schema_arrow
     if not one.equals(other, check_metadata=True):
         yield f" has the columns {short(one)}; {short(other)} are made again"
         return
@@ -234,7 +200,7 @@ def _table(stored: Path, again: Path, tolerance: Callable[[str, int], float]) ->
         ):
             for name in other.names:
                 found, wanted = (row.get(name) for row in rows)
-                if not alike(found, wanted, tolerance(name, rows[1].get("episode_index", -1))):
+                if not alike(found, wanted, tolerance(name)):
                     yield (
                         f", row {index}: {name} is {short(found)}; {short(wanted)} follows "
                         f"from its frames and place"

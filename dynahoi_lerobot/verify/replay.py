@@ -1,4 +1,4 @@
-"""Third and last claim: episodes follow from their seeds.
+"""The claim of a replay: episodes follow from their seeds.
 
 What an episode is follows without playing it; played again, it has the same columns and images.
 """
@@ -69,8 +69,7 @@ def seed_problems(
         for offset, spec in enumerate(
             sample_specs(recipe, seeds[first : first + AT_ONCE], threads=0)
         ):
-            row, table = next(episodes)
-            stored = store.as_episode(row, table, images=False)
+            stored = store.as_episode(next(episodes), images=False)
             job = Job(0, spec, 0, stored.meta.attempts)
             meta = episode_meta(job, recipe.rules, recording.actor or recording.expert_name)
             constants = episode_constants(batch, spec, None)
@@ -106,28 +105,25 @@ def differences(made: Mapping[str, Any], stored: Mapping[str, Any]) -> Iterator[
 def replay_problems(
     store: Store,
     indices: list[int],
-    recording: Recording | None,
+    recording: Recording,
     note: Callable[[str], object],
 ) -> Iterator[str]:
-    """Play episodes again by the manifest's recording, None if it cannot be read, and yield what
-    differs.
+    """Play episodes again by the manifest's recording and yield what differs.
 
     ``note`` is told in a sentence what was found equal, and that other code made the dataset.
     """
-    if recording is None:
-        yield "the manifest describes no recording that can be played again"
-        return
     made_with, here = Manifest.read(store.root).provenance.get("code"), code_fingerprint()
     if made_with != here:
         note(f"made by other code ({made_with}, here is {here}), so that it may play differently")
     videos = equal = 0
     for index in indices:
-        table = store.frames(row := store.row(index))
-        stored = store.as_episode(row, table, images=False)
+        rows = store.stored(index)
+        row, table = rows.row, rows.frames
+        stored = store.as_episode(rows, images=False)
         if (made := played_again(recording, stored)) is None:
             yield f"episode {index}: the expert does not manage seed {row['seed']}"
             continue
-        problems = differences(_content(made), _content(stored))
+        problems = differences(_content(made) | {"code": made_with}, _content(stored))
         yield from (f"episode {index} replays to {problem}" for problem in problems)
         for key in store.image_keys:
             view = made.images.get(key.removeprefix(IMAGE_PREFIX))
@@ -160,7 +156,7 @@ def _both(
     value tells whether both are stored in the same bytes.
     """
     stored = store.images(row, table, key)
-    if not store.has_video:
+    if key not in store.video_keys:
         return made, stored, np.array_equal(made, stored)
     encoding, start = store.encoding, round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ)
     with TemporaryDirectory() as folder:

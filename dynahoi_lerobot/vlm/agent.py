@@ -21,7 +21,7 @@ import numpy as np
 import openai
 from pydantic import BaseModel, Field, FiniteFloat, ValidationError, model_validator
 
-from dynahoi_lerobot.core.agent import ChunkAgent, Observation
+from dynahoi_lerobot.core.agent import Agent, Observation
 from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.core.conventions import EGO_VIEW, HAND_DOF
 from dynahoi_lerobot.core.protocols import CONTROL_CLASSES, DEFAULT_CONTROL_CLASS, is_acting
@@ -34,7 +34,7 @@ MOST_ANSWERS = 3
 HTTP_URL = re.compile(r"https?://(\[[\da-fA-F:]+\]|[\w.-]+)(:\d+)?(/[^\s@]*)?")
 
 
-class VlmAgent(ChunkAgent):
+class VlmAgent(Agent):
     """Executes the action chunks that a model answers with.
 
     After a failed decision the hand holds its pose for as many frames as a chunk has, and the
@@ -43,6 +43,7 @@ class VlmAgent(ChunkAgent):
 
     sees_images = True
     control_mode = JOINTS
+    plans = True
 
     def __init__(self, client: "VlmClient", *, name: str = "vlm") -> None:
         """Ask ``client`` about all worlds that need a chunk at the same time."""

@@ -184,15 +184,18 @@ class WorldBatch:
         """(N, nq + ngeom) all that an image of a world depends on and an episode changes."""
         return self._fields.visual_state
 
-    def tip_distance(self) -> np.ndarray:
-        """Return (N, 5), signed distance of each fingertip to the target's surface [m], negative
-        inside.
+    def tip_distance(self, ids: np.ndarray | None = None) -> np.ndarray:
+        """Return (n, 5), signed distance of each fingertip to the target's surface [m], negative
+        inside, of worlds ``ids`` (n,) (default: all).
         """
-        return self._fingertips.target_distance()
+        return self._fingertips.target_distance(np.arange(self.size) if ids is None else ids)
 
-    def fingertips(self) -> np.ndarray:
-        """Return (N, 30), position [m], home frame, and rotation vector [rad] of each fingertip."""
-        return self._fingertips.poses(self.home_pos_w)
+    def fingertips(self, ids: np.ndarray | None = None) -> np.ndarray:
+        """Return (n, 30), position [m], home frame, and rotation vector [rad] of each fingertip,
+        of worlds ``ids`` (n,) (default: all).
+        """
+        chosen = np.arange(self.size) if ids is None else ids
+        return self._fingertips.poses(chosen, self.home_pos_w[chosen])
 
     def observe(self, *, images: bool = True, ids: np.ndarray | None = None) -> Observation:
         """Return what a policy may see.
@@ -235,11 +238,14 @@ class WorldBatch:
         self._stage = self._stage or Stage(self.scene, self.rules, self._threads)
         return self._stage.images(self._fields, i, spec, visual_states)
 
-    def world_state(self, observation: Observation) -> WorldState:
-        """Return what an expert sees: the observation and everything the simulator knows."""
+    def world_state(self, observation: Observation, ids: np.ndarray | None = None) -> WorldState:
+        """Return what an expert sees: the observation and everything the simulator knows, with the
+        episodes of worlds ``ids`` (n,) (default: all) alone.
+        """
+        used = set(range(self.size) if ids is None else ids.tolist())
         return WorldState(
             observation=observation,
-            specs=tuple(self.specs),
+            specs=tuple(spec if i in used else None for i, spec in enumerate(self.specs)),
             frame=self.frame.copy(),
             attempt=self.attempt.copy(),
             target_pose=self.target_pose,

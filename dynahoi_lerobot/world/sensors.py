@@ -19,12 +19,13 @@ from dynahoi_lerobot.core.conventions import (
 )
 from dynahoi_lerobot.core.features import EYE
 from dynahoi_lerobot.core.image_sensor import image_sensor
-from dynahoi_lerobot.core.numerics import matrix_to_rotvec, tan
+from dynahoi_lerobot.core.numerics import matrix_to_rotvec
 from dynahoi_lerobot.core.protocols import PROTOCOLS
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.renderers import RENDERERS, Renderer
 from dynahoi_lerobot.renderers.views import MOTION_VIEW, VIEWS
 from dynahoi_lerobot.rules import Rules
+from dynahoi_lerobot.scene.pinhole import Pinhole
 from dynahoi_lerobot.scene.scene import Scene
 from dynahoi_lerobot.scene.signed_distance import signed_distance
 from dynahoi_lerobot.scene.world_fields import WorldFields
@@ -198,9 +199,9 @@ class Cameras:
 
 def _detector(scene: Scene, batch: Batch, image_size: int) -> Detector:
     """Return the eye on the hand's camera; ValueError if nothing that is installed brings it."""
-    model, eye = scene.model, image_sensor(EYE)(EGO_VIEW)
-    pose, focal = camera_pose(model, EGO_VIEW), intrinsics(model, EGO_VIEW, image_size)
-    return Detector(eye, batch.nsim, pose, focal)
+    camera = Pinhole.of(scene.model, EGO_VIEW)
+    eye = image_sensor(EYE)(EGO_VIEW)
+    return Detector(eye, batch.nsim, camera.pose, camera.intrinsics(image_size))
 
 
 class Stage:
@@ -241,57 +242,32 @@ class Fingertips:
         self._geom_pos, self._geom_mat = batch.bind("geom_xpos"), batch.bind("geom_xmat")
         self._site_pos, self._site_mat = batch.bind("site_xpos"), batch.bind("site_xmat")
 
-    def poses(self, origin_w: np.ndarray) -> np.ndarray:
-        """Return (N, 30), position [m] and rotation vector [rad] of each fingertip.
+    def poses(self, ids: np.ndarray, origin_w: np.ndarray) -> np.ndarray:
+        """Return (n, 30), position [m] and rotation vector [rad] of each fingertip.
 
         Args:
-            origin_w: (N, 3) from where positions are counted [m], world.
+            ids: (n,) worlds.
+            origin_w: (n, 3) from where positions are counted [m], world.
         """
-        position = self._site_pos[:, self._scene.tip_sites] - origin_w[:, None]  # (N, 5, 3)
-        rotation = self._site_mat[:, self._scene.tip_sites].reshape(
-            *position.shape, 3
-        )  # (N, 5, 3, 3)
-        return np.concatenate([position, matrix_to_rotvec(rotation)], axis=-1).reshape(
-            len(position), -1
-        )
+        tips = np.ix_(ids, self._scene.tip_sites)
+        position = self._site_pos[tips] - origin_w[:, None]  # (n, 5, 3)
+        rotation = self._site_mat[tips].reshape(*position.shape, 3)  # (n, 5, 3, 3)
+        poses = np.concatenate([position, matrix_to_rotvec(rotation)], axis=-1)  # (n, 5, 6)
+        return poses.reshape(len(ids), 6 * len(FINGERS))
 
-    def target_distance(self) -> np.ndarray:
-        """Return (N, 5), signed distance of each fingertip to the target's surface [m], negative
-        inside.
+    def target_distance(self, ids: np.ndarray) -> np.ndarray:
+        """Return (n, 5), signed distance of each fingertip to the target's surface [m], negative
+        inside, of worlds ``ids`` (n,).
         """
-        tips = self._site_pos[:, self._scene.tip_sites]  # (N, 5, 3)
+        tips = self._site_pos[np.ix_(ids, self._scene.tip_sites)]  # (n, 5, 3)
         nearest = np.full((len(tips), len(FINGERS)), np.inf)
         alpha, sizes = self._fields.fields["geom_rgba"][..., 3], self._fields.fields["geom_size"]
-        for shape, ids in self._scene.slots.items():
-            geoms = np.asarray(ids)  # (S,)
-            offset = tips[:, :, None] - self._geom_pos[:, None, geoms]  # (N, 5, S, 3)
-            rotation = self._geom_mat[:, geoms].reshape(len(tips), 1, len(geoms), 3, 3)
+        for shape, slots in self._scene.slots.items():
+            rows, slot = np.nonzero(alpha[np.ix_(ids, slots)])  # (S,) each, of what the target uses
+            world, geom = ids[rows], np.asarray(slots)[slot]
+            offset = tips[rows] - self._geom_pos[world, geom][:, None]  # (S, 5, 3)
+            rotation = self._geom_mat[world, geom].reshape(len(rows), 1, 3, 3)
             local = (rotation * offset[..., None]).sum(axis=-2)  # transposed rotation times offset
-            distance = signed_distance(
-                shape, local, np.broadcast_to(sizes[:, None, geoms], local.shape)
-            )
-            hidden = (alpha[:, geoms] == 0.0)[:, None]
-            nearest = np.minimum(nearest, np.where(hidden, np.inf, distance).min(axis=2))
+            size = np.broadcast_to(sizes[world, geom][:, None], local.shape)
+            np.minimum.at(nearest, rows, signed_distance(shape, local, size))
         return nearest
-
-
-def camera_pose(model: mujoco.MjModel, camera: str) -> np.ndarray:
-    """Return (7,) position [m] and quaternion wxyz of a camera in the frame of the body it is fixed
-    to.
-
-    The hand's camera is fixed to the palm, which does not turn and has its origin at the palm
-    centre; the side camera to a body that is put where the palm centre waits.
-    """
-    found = model.camera(camera)
-    return np.concatenate([found.pos, found.quat])
-
-
-def intrinsics(model: mujoco.MjModel, camera: str, image_size: int) -> np.ndarray:
-    """Return (4,) focal lengths fx and fy and principal point cx and cy [px] in square images of
-    that side [px].
-
-    The centre of the first pixel is at (0.5, 0.5).
-    """
-    half = image_size / 2
-    focal = half / tan(np.radians(float(model.camera(camera).fovy[0])) / 2)
-    return np.array([focal, focal, half, half])

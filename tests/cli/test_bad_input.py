@@ -48,7 +48,7 @@ CASES = [
     ("filter DATASET", "--out DIR"),
     ("filter DATASET --out .", ". exists"),
     ("verify .", "is no LeRobot dataset"),
-    ("verify DATASET --replay 0", "got 0"),
+    ("verify DATASET --replay=-1", "got -1"),
     ("verify x --json missing/summary.json", "missing/summary.json"),
     (f"{GENERATE} --dry-run", "--dry-run needs --executor"),
     (f"{GENERATE} --expert pursit", "'pursit' (did you mean 'pursuit'?)"),
@@ -64,7 +64,7 @@ CASES = [
     (f"{GENERATE} --crf 52", "crf is 52"),
     (f"{GENERATE} --codec images --preset fast", "'fast'"),
     (f"{GENERATE} --workers 0", "got 0"),
-    (f"{GENERATE} --recipe recipe.yaml", "motions must be of type list[str], got 'lob'"),
+    (f"{GENERATE} --recipe recipe.yaml", "motions must be a list, got 'lob'"),
     (f"{GENERATE} --actor nowhere", "'nowhere'"),
     (f"{GENERATE} --actor user/name --trust", "'user/name'"),
 ]

@@ -38,8 +38,19 @@ def test_list_prints_every_entry_with_a_description(
         str(value) for row in rows for key, value in row.items() if key in ("description", "ranges")
     )
     assert cli.main(["list", what]) == 0
+    shown = capsys.readouterr().out
+    assert max(map(len, shown.splitlines())) <= 100
+    words = {word.strip(",:") for word in shown.split()}
+    for row in rows:
+        for value in row.values():
+            assert {word.strip(",:") for word in str(value).split()} <= words
+
+
+def test_a_wide_terminal_shows_a_list_as_a_table(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "500")
+    assert cli.main(["list", "motions"]) == 0
     table = capsys.readouterr().out.splitlines()
-    assert len(table) == len(rows) + 2
+    assert len(table) == len(LISTS["motions"]()) + 2
     assert len({len(line) for line in table}) == 1, "columns are aligned"
 
 

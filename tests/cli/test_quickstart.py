@@ -7,6 +7,8 @@ import yaml
 
 from dynahoi_lerobot.cli import quickstart
 from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.core.arguments import CommandError
+from dynahoi_lerobot.core.progress import progress_bar
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.sampling.benchmark import MOTIONS
 from tests.report.example_runs import example_run
@@ -27,10 +29,15 @@ def test_it_trains_on_the_device_it_is_evaluated_on(
 ) -> None:
     said: list[list[str]] = []
     monkeypatch.setattr(quickstart, "_device", lambda: "cuda")
-    monkeypatch.setattr(quickstart, "run_lerobot", lambda _, words, *__: said.append(words) or 1)
+
+    def run_lerobot(_: str, words: list[str], *__: object) -> None:
+        said.append(words)
+        raise CommandError("code 1")
+
+    monkeypatch.setattr(quickstart, "run_lerobot", run_lerobot)
     monkeypatch.setattr(quickstart, "_film", lambda out, _: out)
     for stage in (quickstart._train, quickstart._evaluate):
-        with pytest.raises(quickstart.CommandError):
+        with pytest.raises(CommandError):
             stage(tmp_path, quickstart.TINY)
     assert all("--policy.device=cuda" in words for words in said)
 
@@ -42,25 +49,43 @@ def test_an_evaluation_that_stopped_halfway_is_done_again(
     not all.
     """
     partial, results = tmp_path / "results" / "obact.partial", tmp_path / "results" / "obact"
-    codes = iter((1, 0))
+    errors = [CommandError("code 1")]
 
-    def run_lerobot(_: str, words: list[str], *__: object) -> int:
+    def run_lerobot(_: str, words: list[str], *__: object) -> None:
         (made,) = (
             Path(word.partition("=")[2]) for word in words if word.startswith("--env.results_dir=")
         )
         assert partial in made.parents
         assert not made.exists(), "what an earlier run left is not mixed in"
         example_run(made, "obact", skill=0.5)
-        return next(codes)
+        if errors:
+            raise errors.pop()
 
     monkeypatch.setattr(quickstart, "run_lerobot", run_lerobot)
     monkeypatch.setattr(quickstart, "_film", lambda *_: tmp_path / "film")
-    with pytest.raises(quickstart.CommandError, match="code 1"):
+    with pytest.raises(CommandError, match="code 1"):
         quickstart._evaluate(tmp_path, quickstart.TINY)
     assert not results.exists()
     quickstart._evaluate(tmp_path, quickstart.TINY)
     assert read_results(results).rows
     assert not partial.exists()
+
+
+def test_the_bars_show_what_lerobot_has_written(tmp_path: Path) -> None:
+    assert (quickstart._steps(tmp_path), quickstart._played(tmp_path)) == (0, 0)
+    for name in ("000080", "000120"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "last").symlink_to("000120")
+    assert quickstart._steps(tmp_path) == 120
+    run = example_run(tmp_path / "results", "obact", skill=0.5)
+    assert quickstart._played(tmp_path / "results") == len(run.rows)
+
+
+def test_a_program_that_fails_is_named_with_its_log(tmp_path: Path) -> None:
+    with progress_bar(total=1) as bar, pytest.raises(CommandError, match=r"lerobot_eval\.log"):
+        quickstart.run_lerobot("eval", ["--no-such-option"], tmp_path, lambda: 1, bar)
+    assert bar.n == 1
+    assert "no-such-option" in (tmp_path / "lerobot_eval.log").read_text()
 
 
 def test_options_decide_how_much_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

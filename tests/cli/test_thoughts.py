@@ -17,6 +17,7 @@ from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
+from tests.checkpoints import tiny_diffusion
 
 
 def place(mask: np.ndarray) -> np.ndarray:
@@ -61,3 +62,11 @@ def test_a_policy_s_thoughts_become_a_film_at_the_size_it_was_trained_for(
     assert f"{actor}: Catch" in capsys.readouterr().out
     with Image.open(tmp_path / "lob.gif") as film:
         assert film.height > film.width > WIDTH_PX, "a strip of attention below"
+
+
+def test_a_policy_without_thoughts_is_told_so(tmp_path: Path, capsys):
+    folder = tiny_diffusion(tmp_path / "policy")
+    words = ["view", "--motion", "lob", "--policy", str(folder), "--thoughts"]
+    words += ["--environment-state", "truth"]
+    assert cli.main([*words, "--out", str(tmp_path / "lob.gif")]) == 2
+    assert "records nothing" in capsys.readouterr().err

@@ -7,10 +7,15 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.cli.main import exit_code
-from dynahoi_lerobot.core.escaping import Terminal, latex
+from dynahoi_lerobot.core.escaping import Terminal, latex, shortened
 from dynahoi_lerobot.dataset.card import histogram_svg, markdown_template
 
 HOSTILE = "\x1b[2J\r\u202e</text><script>x</script> | [click](http://x) `code`\n# heading"
+
+
+def test_a_long_text_loses_its_middle():
+    assert shortened("a word\n and  another", 20) == "a word and another"
+    assert shortened("a" * 50 + "b" * 50, 21) == "a" * 10 + "…" + "b" * 10
 
 
 def test_a_terminal_is_told_no_commands(capsys: pytest.CaptureFixture[str]) -> None:

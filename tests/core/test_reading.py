@@ -1,14 +1,12 @@
-"""Hostile files of every kind in every place are refused in one sentence, soon, and before they
-take memory.
-"""
+"""Files that are damaged, of another kind or of other types are refused in one sentence."""
 
-import gc
 import json
 import os
 import shutil
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,16 +22,16 @@ from safetensors.torch import load_file, save_file
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.reading import (
     ReadError,
+    decoded,
     fits,
     inside,
-    open_table,
     read_arrays,
     read_json,
     read_rows,
     read_table,
     read_yaml,
+    validated,
 )  # fmt: skip
-from dynahoi_lerobot.dataset import read_episodes
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store, open_dataset
 from dynahoi_lerobot.dataset.video import Encoding
@@ -113,7 +111,6 @@ HOSTILE: dict[str, Callable[[Path], object]] = {
     "folder": replace_by(Path.mkdir),
     "loop": replace_by(lambda path: path.symlink_to(path)),
     "cut": lambda path: os.truncate(path, path.stat().st_size // 2),
-    "vast": lambda path: os.truncate(path, 2**40),
     "deep": lambda path: path.write_text("[" * 100_000 + "]" * 100_000),
 }
 
@@ -149,12 +146,6 @@ def test_an_image_is_what_its_cell_holds_and_as_large_as_the_dataset_says(
         == 2
     )
     assert str(path) in capsys.readouterr().err
-    edit_json(
-        root / "meta/info.json",
-        lambda info: info["features"]["observation.images.ego"].update(shape=[4096] * 3),
-    )
-    with pytest.raises(ReadError, match="take more than"):
-        list(read_episodes(root))
 
 
 VALUES: list[Any] = [None, True, -1, 10**30, float("nan"), "x", [None], {"x": {}}, "\ud800"]
@@ -190,45 +181,22 @@ def test_a_wrong_value_anywhere_is_read_or_refused_but_no_fault(
             opener(root)
 
 
-def test_json_is_bounded(tmp_path: Path) -> None:
-    surplus = ['{"x": {"y": 1, "y": 2}}', "[" + "[]," * 16 * 10**5 + "1]"]
-    for text in (
-        *surplus,
-        "NaN",
-        "1e999",
-        "9" * 30,
-        "9" * 5000,
-        "[" * 70 + "]" * 70,
-        '"\\ud800"',
-        "{",
-        "\xff",
-    ):
-        (path := tmp_path / "x.json").write_text(text, "latin-1")
-        with pytest.raises(ReadError, match=r"x\.json cannot be read"):
-            read_json(path)
-    (path := tmp_path / "x.yaml").write_text(
-        "a: &a [x, x]\n"
-        + "".join(
-            f"{n}: &{n} [*{p}, *{p}]\n"
-            for p, n in zip("abcdefghijklmnopqrstuvwxy", "bcdefghijklmnopqrstuvwxyz", strict=True)
-        )
-    )
-    with pytest.raises(ReadError, match="more than"):
-        read_yaml(path)
+@pytest.mark.parametrize(
+    "text", ['{"x": {"y": 1, "y": 2}}', "NaN", "1e999", "9" * 5000, "[" * 100_000, "{", "\xff"]
+)
+def test_json_holds_finite_numbers_and_each_key_once(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "x.json"
+    path.write_text(text, "latin-1")
+    with pytest.raises(ReadError, match=r"x\.json cannot be read"):
+        read_json(path)
 
 
-N = 10**7
-BOMBS: dict[str, Callable[[], dict[str, pa.Array]]] = {
-    "one list": lambda: {
-        "x": pa.ListArray.from_arrays(pa.array([0, N], pa.int32()), pa.array(np.zeros(N, bool)))
-    },
-    "null lists": lambda: {"x": pa.nulls(2000, pa.list_(pa.float32(), 10**5))},
-    "one text": lambda: {
-        "x": pa.DictionaryArray.from_arrays(
-            pa.array([0] * 5000, pa.int32()), pa.array(["x" * 2**20])
-        )
-    },
-}
+def test_yaml_makes_no_objects_and_holds_each_key_once(tmp_path: Path) -> None:
+    path = tmp_path / "x.yaml"
+    for text in ("x: 1\nx: 2", "x: !!python/object/apply:os.getpid []", "- x"):
+        path.write_text(text)
+        with pytest.raises(ReadError, match=r"x\.yaml cannot be read"):
+            read_yaml(path)
 
 
 @pytest.mark.parametrize(
@@ -251,23 +219,47 @@ def test_a_value_has_the_type_that_is_declared(value: object, hint: Any, fitting
     assert fits(value, hint) == fitting
 
 
-@pytest.mark.parametrize("kind", BOMBS)
-def test_a_table_that_grows_is_refused_before_it_does(kind: str, tmp_path: Path) -> None:
-    pq.write_table(pa.table(BOMBS[kind]()), path := tmp_path / "x.parquet", compression="zstd")
-    assert path.stat().st_size < 2**20
-    for read in (read_table, lambda path: list(read_rows(path))):
-        with pytest.raises(ReadError, match="expands to"):
-            read(path)
+@dataclass(frozen=True)
+class Inner:
+    sizes: tuple[int, ...] = (1, 2)
 
 
-def test_tables_whose_size_nothing_tells_or_that_lack_a_column_are_refused(tmp_path: Path) -> None:
-    table, path = pa.table({"x": ["a" * 100] * 100}), tmp_path / "x.parquet"
-    pq.write_table(table, path, use_dictionary=False, column_encoding={"x": "DELTA_BYTE_ARRAY"})
-    with pytest.raises(ReadError, match="DELTA_BYTE_ARRAY"):
-        read_table(path)
-    pq.write_table(pa.table({"x": [b"y" * 2**20] * 64}), path)
-    with pytest.raises(ReadError, match="of its rows have"):
-        list(read_rows(path))
+@dataclass(frozen=True)
+class Outer:
+    name: str
+    inner: Inner = Inner()
+    share: float = 0.5
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.share <= 1:
+            raise ValueError(f"share must be 0 to 1, got {self.share}")
+
+
+def test_values_become_a_dataclass_or_a_sentence_with_key_and_value() -> None:
+    values = {"name": "x", "inner": {"sizes": [3]}, "share": 1}
+    assert validated(Outer, values) == Outer("x", Inner((3,)), 1.0)
+    for changes, sentence in (
+        ({"inner": {"sizes": [1, "two"]}}, "sizes.1 .*integer.*'two'"),
+        ({"name": 3}, "name .*string.*3"),
+        ({"share": 2}, "share must be 0 to 1, got 2"),
+        ({"name": None}, "name"),
+    ):
+        with pytest.raises((TypeError, ValueError), match=sentence):
+            validated(Outer, values | changes)
+    with pytest.raises(TypeError, match="name"):
+        validated(Outer, {"share": 1})
+
+
+def test_unknown_keys_are_refused_where_people_write_and_ignored_elsewhere() -> None:
+    values = {"name": "x", "inner": {"sizes": [3], "colour": "red"}}
+    assert validated(Outer, values) == Outer("x", Inner((3,)))
+    with pytest.raises(ValueError, match="no 'colour'; its fields: sizes"):
+        decoded(Outer, values)
+
+
+def test_tables_that_lack_or_repeat_a_column_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "x.parquet"
+    pq.write_table(pa.table({"x": [1]}), path)
     with pytest.raises(ReadError, match="no column 'z'"):
         read_table(path, ["z"])
     pq.write_table(pa.Table.from_arrays([pa.array([1])] * 2, ["x", "x"]), path)
@@ -287,11 +279,10 @@ def test_honest_tables_and_arrays_are_read(tmp_path: Path) -> None:
     assert read_arrays(path, ["a", "b"])["a"].tolist() == [[0, 3], [1, 4], [2, 5]]
 
 
-def test_arrays_that_grow_or_run_code_are_refused(tmp_path: Path) -> None:
-    np.savez_compressed(
-        path := tmp_path / "x.npz", zeros=np.zeros(N), code=np.array([object()], object)
-    )
-    for name, sentence in (("zeros", "expands to"), ("code", "array"), ("none", "none")):
+def test_arrays_that_run_code_or_hold_no_numbers_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "x.npz"
+    np.savez(path, code=np.array([object()], object), text=np.array(["x"]))
+    for name, sentence in (("code", "allow_pickle"), ("text", "numbers"), ("none", "none")):
         with pytest.raises(ReadError, match=sentence):
             read_arrays(path, [name])
 
@@ -361,14 +352,3 @@ def test_statistics_that_do_not_fit_are_refused(actor: Path, tmp_path: Path) -> 
             ReadError, match=r"policy_preprocessor\.json normalises observation\.state"
         ):
             play_nothing(folder)
-
-
-def test_a_table_that_was_closed_stays_in_no_cycle_of_references(tmp_path: Path) -> None:
-    pq.write_table(pa.table({"index": [1, 2, 3]}), tmp_path / "t.parquet", row_group_size=1)
-    gc.collect()
-    gc.disable()  # a footer of 10,000 row groups takes 100 MB, and the collector hardly ever runs
-    try:
-        open_table(tmp_path / "t.parquet").close()
-        assert not [found for found in gc.get_objects() if type(found) is pq.FileMetaData]
-    finally:
-        gc.enable()

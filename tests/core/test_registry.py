@@ -1,7 +1,11 @@
-"""Modules that installed distributions name as entry points register by themselves."""
+"""Importing a package registers its modules; modules that installed distributions name as entry
+points register by themselves.
+"""
 
+import importlib
 import json
 import os
+import pkgutil
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +13,8 @@ from pathlib import Path
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 from tests.tools import install, python
 
+ROOMS = ("objects", "motions", "hands", "metrics", "experts")
+"""Packages of the core that register."""
 MOTION = '''
 """A motion of somebody else."""
 
@@ -24,6 +30,14 @@ assert "lob" in MOTIONS  # a plugin may look names up while it is imported
 class Borrowed(MOTIONS["constant"]):
     """x = a: a straight line under another name."""
 '''
+
+
+def test_importing_a_package_registers_all_of_its_modules() -> None:
+    packages = [f"dynahoi_lerobot.{room}" for room in ROOMS]
+    imported = python("-c", f"import sys, {', '.join(packages)}; print(*sys.modules)").split()
+    for package in packages:
+        modules = pkgutil.iter_modules(importlib.import_module(package).__path__, package + ".")
+        assert {module.name for module in modules} <= set(imported)
 
 
 def test_a_plugin_is_listed_and_a_broken_one_is_named(tmp_path: Path) -> None:

@@ -9,7 +9,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import torch
-from lerobot.datasets.dataset_tools import merge_datasets
+from datasets import load_dataset
+from lerobot.datasets.compute_stats import aggregate_stats
+from lerobot.datasets.dataset_tools import delete_episodes, merge_datasets, split_dataset
 from lerobot.datasets.language_render import active_at
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot.datasets.video_utils import RGBEncoderConfig
@@ -18,6 +20,7 @@ from lerobot.scripts.lerobot_eval import _env_features_to_dataset_features
 from lerobot.utils.collate import lerobot_collate_fn
 
 from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.reading import ReadError
 from dynahoi_lerobot.dataset import open_dataset, read_episodes, write_episodes
 from dynahoi_lerobot.dataset.columns import (
     BOOKKEEPING,
@@ -29,6 +32,7 @@ from dynahoi_lerobot.dataset.columns import (
     subtask_rows,
 )
 from dynahoi_lerobot.dataset.video import Encoding
+from dynahoi_lerobot.verify.command import verify
 from tests.dataset.episodes import varied_episode, write
 from tests.synthetic import synthetic_episode
 from tests.tools import generated
@@ -179,12 +183,72 @@ def test_merge(dataset, tmp_path):
     assert merged.num_episodes == 9
     assert merged.meta.episodes["seed"] == list(range(9))
     check_images(merged, sum(LENGTHS) + 4, 6, 4)
-    episode = list(read_episodes(tmp_path / "merged"))[7]
-    for name in ("palm_distance", "state", "target_pose", "localized", "intercept_position"):
-        np.testing.assert_allclose(
-            getattr(episode, name), getattr(varied_episode(7), name), err_msg=name
-        )
-    assert episode.meta == varied_episode(7).meta
+    with pytest.raises(ReadError, match="no privileged tables"):
+        next(read_episodes(tmp_path / "merged"))
+
+
+def test_a_reader_that_takes_names_of_statistics_apart_gets_those_of_the_dataset(dataset):
+    found: list[dict[str, dict[str, np.ndarray]]] = [{} for _ in LENGTHS]
+    for name, cells in pq.read_table(dataset / "meta/episodes").to_pydict().items():
+        if name.startswith("stats/"):
+            _, feature, statistic = name.split("/", 2)
+            for stats, cell in zip(found, cells, strict=True):
+                stats.setdefault(feature, {})[statistic] = np.array(cell)
+    for feature, told in load(dataset, "meta/stats.json").items():
+        pooled = aggregate_stats(found)[feature]
+        for name in ("min", "max", "mean", "std", "count"):
+            np.testing.assert_allclose(pooled[name], told[name], atol=1e-6, err_msg=feature)
+
+
+def test_datasets_loads_the_frames_and_nothing_else_by_the_card(dataset, tmp_path):
+    loaded = load_dataset(str(dataset), split="train", cache_dir=str(tmp_path))
+    assert loaded.num_rows == sum(LENGTHS)
+    described = load(dataset, "meta/info.json")["features"]
+    assert {*loaded.column_names} == {k for k, e in described.items() if e["dtype"] != "video"}
+
+
+MEASURED = ("ego_depth", "side_segmentation")
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory) -> Path:
+    return write(tmp_path_factory.mktemp("measured") / "d", range(3), views=("side", *MEASURED))
+
+
+def test_measurements_are_not_encoded_as_video(measured: Path):
+    opened = open_dataset(measured)
+    keys = [f"observation.images.{view}" for view in MEASURED]
+    assert opened.meta.image_keys == keys
+    assert opened.meta.video_keys == ["observation.images.ego", "observation.images.side"]
+    for seed, episode in enumerate(read_episodes(measured)):
+        shown = varied_episode(seed, views=("side", *MEASURED)).images
+        for view in MEASURED:
+            np.testing.assert_array_equal(episode.images[view], shown[view])
+    for index, frame in ((0, 0), (LENGTHS[0] + 4, 4)):
+        episode = varied_episode(bool(index), views=("side", *MEASURED))
+        for key, view in zip(keys, MEASURED, strict=True):
+            image = np.moveaxis(opened[index][key].numpy() * 255, 0, -1).round()
+            np.testing.assert_array_equal(image, episode.images[view][frame])
+    assert verify(measured) == []
+
+
+def test_lerobot_edits_videos_and_images_side_by_side(measured: Path, tmp_path: Path):
+    source = open_dataset(measured)
+    delete_episodes(source, [0], tmp_path / "fewer", REPO)
+    split_dataset(source, {"one": [0], "two": [1, 2]}, tmp_path)
+    merge_datasets([source, source], REPO, tmp_path / "merged")
+    for name, seeds in {
+        "fewer": [1, 2],
+        "one": [0],
+        "two": [1, 2],
+        "merged": [0, 1, 2] * 2,
+    }.items():
+        edited = open_dataset(tmp_path / name)
+        assert edited.num_frames == sum(LENGTHS[seed] for seed in seeds)
+        wanted = varied_episode(seeds[-1], views=("side", *MEASURED)).images["ego_depth"][-1]
+        image = edited[len(edited) - 1]["observation.images.ego_depth"].numpy() * 255
+        np.testing.assert_array_equal(np.moveaxis(image, 0, -1).round(), wanted)
+        check_images(edited, len(edited) - 1, seeds[-1], -1)
 
 
 STATE = "observation.state"

@@ -11,7 +11,7 @@ import yaml
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.features import CAMERA_KEY, COMMAND_NAMES, FEATURES, episode_features
+from dynahoi_lerobot.core.features import CAMERA_KEY, COMMAND_NAMES, FEATURES, privileged_features
 from dynahoi_lerobot.dataset import (
     episode_column,
     frame_column,
@@ -198,7 +198,6 @@ def test_a_frame_column_has_a_row_per_frame_wherever_it_is_stored(dataset):
         "action": np.concatenate([episode.action for episode in episodes]),
         "observation.phase": np.concatenate([episode.phase for episode in episodes]),
         "target.pose": np.concatenate([episode.target_pose for episode in episodes]),
-        "stats/target.pose": np.concatenate([episode.target_pose for episode in episodes]),
         "localized": np.concatenate([episode.localized for episode in episodes])[:, None],
         "home_position": np.concatenate(
             [np.tile(episode.home_position, (len(episode), 1)) for episode in episodes]
@@ -287,7 +286,7 @@ def test_its_card_counts_and_describes_what_is_there(dataset: Path):
     manifest, card = Manifest.read(dataset), (dataset / "README.md").read_text()
     assert f"{manifest.episodes} episodes ({manifest.frames} frames" in card
     assert "{{" not in card.replace("{{DynaHOI}", "")
-    for key in [*Store(dataset).features, *(feature.key for feature in episode_features())]:
+    for key in [*Store(dataset).features, *(feature.key for feature in privileged_features())]:
         assert f"| `{key}` |" in card
     drawing = (dataset / "assets/action.svg").read_text()
     assert all(f">{name}<" in drawing for name in COMMAND_NAMES), "every dimension has a panel"

@@ -16,6 +16,7 @@ from pathlib import Path
 from accelerate.state import AcceleratorState
 
 from tests.docs.documents import ROOT, Block
+from tests.tools import python
 
 LINKED = ("recipes", "envs", "checkpoints", "policies", "benchmarks")
 """Folders of the repository that commands name."""
@@ -74,12 +75,11 @@ class Player:
     hub: dict[str, str] = field(default_factory=dict)
 
     def play(self, block: Block) -> None:
-        """Save the file, run the program, or run every command."""
+        """Save the file, run the program in a process of its own, or run every command."""
         if block.file:
             Path(block.file).write_text(block.body)
         elif block.language == "python":
-            sys.path.insert(0, "")  # as `python FILE` in this folder would
-            exec(compile(block.body, "block of code", "exec"), {"__name__": "__main__"})
+            python("-c", block.body)
         else:
             for words in block.commands:
                 self.run(words)

@@ -1,7 +1,6 @@
 """The environments keep gymnasium's promises and the benchmark's protocol."""
 
 import copy
-import json
 import pickle
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +17,7 @@ from lerobot_env_dynahoi.task_env import ResultsLog, TaskEnv
 
 from dynahoi_lerobot.core.episode import closure, potential
 from dynahoi_lerobot.core.protocols import is_acting
-from dynahoi_lerobot.env import DynahoiEnv, DynahoiVectorEnv, register_envs
+from dynahoi_lerobot.env import DynahoiEnv, DynahoiVectorEnv
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.motions import MOTIONS
@@ -27,14 +26,14 @@ from dynahoi_lerobot.rollout.recording import Recording
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.splits import kind_seed
 from dynahoi_lerobot.world.batch import WorldBatch
+from tests.tools import python
 
 SMALL = {"image_size": 16}
 BLIND = SMALL | {"image_size": 0}
 
 
 def made(kind: str, **options) -> gym.Env:
-    register_envs()
-    return gym.make(f"dynahoi/{kind}-v0", **SMALL | options)
+    return gym.make(f"dynahoi_lerobot.env:dynahoi/{kind}-v0", **SMALL | options)
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -98,18 +97,47 @@ def test_the_mask_of_a_metric_is_false_where_it_does_not_apply() -> None:
         ended |= terminated | truncated
 
 
-def test_the_single_envs_info_is_json() -> None:
+def test_the_single_envs_info_has_the_same_keys_and_types_at_every_step() -> None:
     env = made("constant", image_size=0)
     infos, ended = [env.reset(seed=0)[1]], False
     while not ended:
         _, _, terminated, truncated, info = env.step(np.zeros(18, np.float32))
         infos, ended = [*infos, info], terminated or truncated
-    assert all(info == json.loads(json.dumps(info, allow_nan=False)) for info in infos)
-    assert infos[0] == {"is_success": False}
-    assert infos[-1].keys() - {"is_success"} < set(METRICS.names())
-    assert {"S_loc", "S_gra"} & infos[-1].keys() == {"S_loc"}, (
-        "S_gra does not apply to who never localises"
+    kinds = {"is_success": bool} | dict.fromkeys(METRICS.names(), float)
+    assert all({name: type(value) for name, value in info.items()} == kinds for info in infos)
+    assert not any(any(info.values()) for info in infos[:-1]), "no metric before the end"
+    assert infos[-1]["S_loc"] == 0.0
+    assert np.isnan(infos[-1]["S_gra"]), "does not apply to who never localises"
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_the_vector_envs_info_has_the_same_keys_at_every_step(mode: AutoresetMode) -> None:
+    env = DynahoiVectorEnv(2, autoreset_mode=mode, max_episode_steps=2, **BLIND)
+    found = [env.reset(seed=0)[1]]
+    for _ in range(3):
+        *_, info = env.step(np.zeros((2, 18), np.float32))
+        found.append({name: info[name] for name in info if "final_" not in name})
+    wanted = {"is_success", *METRICS.names(), *(f"_{name}" for name in METRICS.names())}
+    assert [set(info) for info in found] == [wanted] * 4
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_a_limit_of_steps_truncates_every_episode(mode: AutoresetMode) -> None:
+    env = gym.make_vec(
+        "dynahoi_lerobot.env:dynahoi/all-v0",
+        num_envs=2,
+        max_episode_steps=5,
+        autoreset_mode=mode,
+        image_size=0,
     )
+    env.reset(seed=0)
+    steps = [env.step(env.action_space.sample()) for _ in range(5)]
+    assert [step[3].tolist() for step in steps] == [[False, False]] * 4 + [[True, True]]
+    assert not any(step[2].any() for step in steps), "terminated"
+    info = steps[-1][4].get("final_info", steps[-1][4])
+    assert not info["_S_loc"].any(), "what is cut short is not measured"
+    with pytest.raises(ValueError, match="max_episode_steps must be at least 1, got 0"):
+        DynahoiVectorEnv(1, max_episode_steps=0)
 
 
 def test_a_hand_that_waits_is_truncated_after_window_l_steps_and_the_outcome_of_the_last() -> None:
@@ -171,9 +199,12 @@ def test_an_autoreset_mode_changes_when_episodes_begin_and_nothing_else() -> Non
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_gymnasiums_vector_wrappers_understand_every_autoreset_mode(mode: AutoresetMode) -> None:
-    register_envs()
     env = gym.make_vec(
-        "dynahoi/constant-v0", num_envs=2, autoreset_mode=mode, reward="dense", image_size=0
+        "dynahoi_lerobot.env:dynahoi/constant-v0",
+        num_envs=2,
+        autoreset_mode=mode,
+        reward="dense",
+        image_size=0,
     )
     if mode != AutoresetMode.SAME_STEP:  # which gymnasium's observation wrappers refuse
         env = vector_wrappers.FlattenObservation(env)
@@ -229,6 +260,25 @@ def test_seeds_number_the_episodes_of_kind_and_split() -> None:
     ]
     assert [spec.seed for spec in env._batch.specs if spec is not None] == expected
     assert [kind_seed(Recipe(split="test_small"), "lob", n) for n in (4, 5, 6)] == expected
+
+
+def test_the_first_episodes_are_played_over_and_over() -> None:
+    env = DynahoiVectorEnv(2, split="train", kind="lob", episodes=3, **BLIND)
+    whole = DynahoiVectorEnv(2, split="train", kind="lob", **BLIND)
+    env.reset(seed=4)
+    whole.reset(seed=[1, 2])
+    for some, others in zip(env._batch.specs, whole._batch.specs, strict=True):
+        np.testing.assert_equal(vars(some), vars(others))
+    hand = np.zeros(env.action_space.shape, np.float32)
+    seeds = set()
+    for _ in range(200):
+        env.step(hand)
+        seeds |= {spec.seed for spec in env._batch.specs}
+    assert seeds == {kind_seed(env.recipe, "lob", number) for number in range(3)}
+    env.close()
+    whole.close()
+    with pytest.raises(ValueError, match="at least 1, or None for all, got 0"):
+        DynahoiVectorEnv(2, episodes=0)
 
 
 def test_bad_actions_are_refused_and_nothing_moves() -> None:
@@ -388,5 +438,13 @@ def test_options_are_fields_of_a_recipe_and_unknown_ones_are_refused() -> None:
         1, recipe=Recipe.of(split="val", image_size=0), control_class="late", views=["side"]
     )
     assert env.recipe == Recipe.of(split="val", image_size=0, control_class="late", views=("side",))
-    with pytest.raises(ValueError, match="colour"):
-        DynahoiEnv(colour="red")
+    for make in (DynahoiEnv, DynahoiVectorEnv):
+        with pytest.raises(TypeError, match="unexpected keyword argument 'colour'"):
+            make(colour="red")
+
+
+@pytest.mark.parametrize("make", ["make", "make_vec"])
+def test_an_id_with_its_module_needs_no_other_import(make: str) -> None:
+    env = f"gym.{make}('dynahoi_lerobot.env:dynahoi/all-v0', image_size=0)"
+    said = python("-c", f"import gymnasium as gym; {env}.reset(seed=0); print('played')")
+    assert said.splitlines()[-1] == "played"

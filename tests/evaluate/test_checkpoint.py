@@ -262,3 +262,8 @@ def test_the_dataset_tells_what_a_checkpoint_was_trained_for(
     camera = {"observation.images.ego_motion": {"type": "VISUAL", "shape": [3, 64, 64]}}
     edit_json(checkpoint / "config.json", lambda c: c.update(input_features=camera))
     assert trained_for(checkpoint)["image_size"] == 64, "of any camera"
+
+
+def test_a_misspelt_baseline_is_told_the_one_it_resembles():
+    with pytest.raises(PolicyError, match="pursuit"):
+        PolicyAgent("pursit")

@@ -80,7 +80,6 @@ def test_guidance_continues_what_is_left_of_a_chunk_or_where_it_led(specs, monke
         [],
     )
     agent.reset(1)
-    agent.enable_guidance()
     (chunk,), _ = agent.plan(observation, np.array([0]))
     predict = agent._policy.predict_action_chunk
 

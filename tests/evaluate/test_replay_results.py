@@ -140,7 +140,7 @@ def test_easier_rules_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[st
     capsys.readouterr()
     assert main(["evaluate", "--replay", str(tmp_path / "easy")]) == 0
     said = capsys.readouterr().out
-    assert "not the benchmark's motions: ('constant',)" in said
+    assert "not the benchmark's motions: ['constant']" in said
     assert "not the benchmark's protocol: 'direct_act'" in said
 
 

@@ -312,7 +312,7 @@ def repeat(folder: Path) -> None:
 DAMAGE: list[tuple[Callable[[Path], None], str]] = [
     (set_head(n=0), "disagree"),
     (repeat, "12000 episodes"),
-    (set_head(n="4"), "n must be of type int, got '4'"),
+    (set_head(n="4"), "n must be a valid integer, got '4'"),
     (set_head(benchmark="v0"), f"episodes of benchmark 'v0' and '{BENCHMARK_ID}'"),
     (set_column("stage", [0] * 6), "its column stage"),
     (set_column("S_loc", ["a"] * 6), "its column S_loc"),

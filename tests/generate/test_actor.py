@@ -15,9 +15,8 @@ from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.dataset import frame_column, read_episodes
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.merge import merge
-from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError
+from dynahoi_lerobot.evaluate.policy_agent import PolicyError
 from dynahoi_lerobot.generate.actor import (
-    RecordedPolicy,
     actor_name,
     make_actor,
     open_policy,
@@ -116,19 +115,16 @@ def test_a_worker_with_another_checkpoint_or_other_libraries_refuses(actor: Path
         make_actor(0, path=str(actor), **known | {other: "something else"})
 
 
-def test_its_random_numbers_and_threads_are_its_own(actor: Path):
-    policy = PolicyAgent(str(actor), "cpu")
+def test_its_random_numbers_follow_from_the_seed_and_torch_has_one_thread(actor: Path):
+    policy = open_policy(str(actor))
+    known = {"name": actor_name(str(actor)), "on": runtime(policy)}
     drawn: list[float] = []
-    policy.act = lambda observation: drawn.append(torch.rand(()).item())  # type: ignore[method-assign,assignment]
+    torch.set_num_threads(2)
     for seed in (3, 3, 4):
-        recorded = RecordedPolicy(policy, seed)
-        for _ in range(2):
-            torch.manual_seed(len(drawn))
-            recorded.act(None)  # type: ignore[arg-type]
-            assert torch.initial_seed() == len(drawn) - 1
-    assert drawn[:2] == drawn[2:4]
-    assert drawn[:2] != drawn[4:]
-    assert len(set(drawn[:2])) == 2
+        make_actor(seed, path=str(actor), **known).reset(1)
+        drawn.append(torch.rand(()).item())
+    assert drawn[0] == drawn[1] != drawn[2]
+    assert torch.get_num_threads() == 1
 
 
 def test_rounds_merge_and_the_card_tells_what_they_are(

@@ -5,29 +5,29 @@ from collections import deque
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.core.agent import ChunkAgent, Observation
+from dynahoi_lerobot.core.agent import Agent, Observation
+from dynahoi_lerobot.core.conventions import frames_until
 from dynahoi_lerobot.core.protocols import one_hot_phase
 from dynahoi_lerobot.rollout.inference import (
     Inference,
     QueuedPolicy,
     RealTimeAgent,
     StepwiseInference,
-    frames_of,
 )
 
 STILL = -1.0
 
 
-class Clock(ChunkAgent):
+class Clock(Agent):
     """Plans 100 x (frame it sees) + (frame the action is for), a few at a time."""
 
     name = "clock"
+    plans = True
     accepts_guidance = True
 
     def __init__(self, seconds: tuple[float, float] = (0.0, 0.0), horizon: int = 5) -> None:
         self.seconds, self.horizon = np.array(seconds), horizon
         self.calls: list[tuple] = []
-        self.guided = False
         self.reset(2)
 
     def reset(self, count: int) -> None:
@@ -36,10 +36,7 @@ class Clock(ChunkAgent):
     def act(self, observation: Observation) -> np.ndarray:
         raise AssertionError("a chunk was asked for")
 
-    def enable_guidance(self) -> None:
-        self.guided = True
-
-    def watch(self, observation: Observation) -> None:
+    def observe(self, observation: Observation) -> None:
         self.t += 1
 
     def plan(
@@ -102,7 +99,6 @@ def test_real_time_chunking_tells_what_is_executed_and_how_long_it_will_take():
         ([2, 2], [2, 2]),
         ([2, 2], [2, 2]),
     ]
-    assert clock.guided
 
 
 @pytest.mark.parametrize(
@@ -129,7 +125,7 @@ def test_timings_that_an_agent_does_not_support_are_refused(timing: Inference):
 def test_a_chunk_is_ready_at_the_first_frame_at_which_its_inference_has_ended(
     latency_ms: float, frames: int
 ):
-    assert frames_of(latency_ms / 1000) == frames
+    assert frames_until(latency_ms / 1000) == frames
 
 
 def stepwise(policy: QueuedPolicy, latency_ms: float, frames: int) -> list[float]:

@@ -6,14 +6,14 @@ import pytest
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT, EGO_VIEW
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.numerics import quat_to_matrix
 from dynahoi_lerobot.core.protocols import CONTROL_CLASSES
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.objects.primitives import from_table
-from dynahoi_lerobot.rollout.recorder import camera_pose, episode_constants
+from dynahoi_lerobot.rollout.recorder import episode_constants
 from dynahoi_lerobot.rules import Rules
 from dynahoi_lerobot.scene.model import SIDE_CAMERA
+from dynahoi_lerobot.scene.pinhole import Pinhole
 from dynahoi_lerobot.scene.scene import compile_scene
 from dynahoi_lerobot.world.batch import WorldBatch
 
@@ -38,17 +38,25 @@ def test_camera_poses_follow_from_the_palm_by_a_fixed_transform(
     hand: str, camera: str, carried: bool
 ):
     rng, model = np.random.default_rng(3), compile_scene(hand).model
-    fixed = camera_pose(model, camera)
+    pinhole = Pinhole.of(model, camera)
     for _ in range(5):
         home, palm = rng.uniform([-1, -1, 0.5], [1, 1, 1.5], (2, 3))
         data = moved(hand, home, palm, rng.uniform(0, 1, 15))
         found = data.camera(camera)
         np.testing.assert_allclose(
-            found.xpos, (palm if carried else home) + fixed[:3], atol=POSITION_ERROR_M
+            found.xpos, (palm if carried else home) + pinhole.pos_m, atol=POSITION_ERROR_M
         )
-        np.testing.assert_allclose(
-            found.xmat.reshape(3, 3), quat_to_matrix(fixed[3:]), atol=POSITION_ERROR_M
-        )
+        np.testing.assert_allclose(found.xmat.reshape(3, 3), pinhole.axes, atol=POSITION_ERROR_M)
+
+
+def test_a_camera_sees_places_where_its_intrinsics_say():
+    camera = Pinhole.of(compile_scene("capsule").model, EGO_VIEW)
+    ray = np.random.default_rng(0).uniform([-0.2, -0.2, -1.0], [0.2, 0.2, -0.3], (5, 3))
+    right, up, depth_m = camera.seen(ray @ camera.axes.T).T
+    fx, fy, cx, cy = camera.intrinsics(96)
+    np.testing.assert_allclose(depth_m, -ray[:, 2])
+    np.testing.assert_allclose(48 * (1 + right), cx + fx * ray[:, 0] / depth_m)
+    np.testing.assert_allclose(48 * (1 - up), cy - fy * ray[:, 1] / depth_m)
 
 
 def test_the_object_is_the_one_that_is_simulated(specs: list[EpisodeSpec]):

@@ -15,7 +15,6 @@ import numpy as np
 
 from benchmarks import pin
 from dynahoi_lerobot.cli.main import main as dynahoi
-from dynahoi_lerobot.env import register_envs
 from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.rollout.recording import Recording
 from dynahoi_lerobot.scene.scene import compile_scene
@@ -44,8 +43,7 @@ def main(folder: Path) -> None:
         [0],
     )
     assert contact.target_contacts.any(), "its solids are touched"
-    register_envs()
-    env = gym.make("dynahoi/a_drift-v0", image_size=32)
+    env = gym.make("dynahoi_lerobot.env:dynahoi/a_drift-v0", image_size=32)
     observation, _ = env.reset(seed=0)
     assert np.ptp(observation["pixels"]["ego"]) > 0
     assert (

@@ -79,7 +79,10 @@ def test_named_episodes_are_left_out(with_outlier, tmp_path):
     assert [row["seed"] for row in Store(tmp_path / "new").rows] == [1, 2, *range(4, 12)]
 
 
-ROWS, DATA = "meta/episodes/chunk-000/file-000.parquet", "data/chunk-000/file-000.parquet"
+ROWS, DATA, TRUTH = (
+    f"{folder}/chunk-000/file-000.parquet"
+    for folder in ("meta/episodes", "data", "meta/privileged")
+)
 SURPLUS = {f"more {number}": pa.nulls(300_000, pa.bool_()) for number in range(40)}
 
 
@@ -93,14 +96,24 @@ SURPLUS = {f"more {number}": pa.nulls(300_000, pa.bool_()) for number in range(4
         ),
         (
             ROWS,
-            lambda n: {"stats/captured": pa.array([{"a": [None]}] * n)},
-            "stats/captured of type struct<",
+            lambda n: {"stats/action/mean": pa.array([{"a": [None]}] * n)},
+            "stats/action/mean of type struct<",
         ),
-        (ROWS, lambda n: {"benchmark": pa.nulls(n)}, "benchmark must be of type str, got None"),
+        (
+            TRUTH,
+            lambda n: {"captured": pa.array([{"a": [None]}] * n)},
+            "its column captured is of type struct<",
+        ),
+        (
+            TRUTH,
+            lambda n: {"frame_index": pa.array([0] * n)},
+            "privileged tables of other episodes",
+        ),
+        (ROWS, lambda n: {"benchmark": pa.nulls(n)}, "benchmark must be a valid string, got None"),
         (
             ROWS,
             lambda n: {"tasks": pa.array([[]] * n, pa.list_(pa.string()))},
-            "tasks must be of type tuple[str], got []",
+            "it has no 'tasks.0'",
         ),
         (
             ROWS,

@@ -25,6 +25,9 @@ DATA, ROWS, TASKS = (
     "meta/episodes/chunk-000/file-000.parquet",
     "meta/tasks.parquet",
 )
+TRUTH, CONSTANTS = (
+    f"meta/{name}/chunk-000/file-000.parquet" for name in ("privileged", "privileged_episodes")
+)
 INFO, STATS, MANIFEST = "meta/info.json", "meta/stats.json", "meta/manifest.json"
 EGO, SIDE, FLAT = (f"observation.images.{view}" for view in ("ego", "side", "ego_segmentation"))
 VIDEO = f"videos/{EGO}/chunk-000/file-000.mp4"
@@ -270,16 +273,17 @@ META: dict[str, Forgery] = {
     ),
     "kinds of motion": column(ROWS, "motion", swapped),
     "parameters of motions": column(ROWS, "parameters", swapped),
-    "masses": column(ROWS, "stats/object_mass", swapped),
-    "commands given, of another length": column(ROWS, "stats/given_action", swapped),
-    "paths": column(ROWS, "stats/target_path", lambda paths: [scaled([paths[0]])[0], *paths[1:]]),
+    "masses": column(CONSTANTS, "object_mass", swapped),
+    "an episode less in the privileged tables": table(TRUTH, lambda found: found.slice(20)),
+    "privileged rows exchanged": table(CONSTANTS, lambda found: found.take([1, 0, 2, 3])),
+    "paths": column(CONSTANTS, "target_path", lambda paths: [scaled([paths[0]])[0], *paths[1:]]),
     "phases": rewritten(changed("phase", 3, 0.5)),
     "a video at another rate": container(rate=2),
     "an image fewer": container(lambda packets: packets[:-1]),
     "an episode that begins without a key frame": container(swapped),
     "a second stream": container(further=True),
     "a video turned by 90 degrees": container(matrix=(0, 65536, 0, -65536, 0, 0, 0, 0, 2**30)),
-    "cameras": column(ROWS, "stats/ego_camera", lambda poses: [scaled([poses[0]])[0], *poses[1:]]),
+    "cameras": column(CONSTANTS, "ego_camera", lambda poses: [scaled([poses[0]])[0], *poses[1:]]),
     "split": column(ROWS, "split", lambda splits: ["test"] * len(splits)),
     "code": column(ROWS, "code", lambda prints: ["0" * 12] * len(prints)),
     "outcome": column(ROWS, "success", lambda found: [False, *found[1:]]),

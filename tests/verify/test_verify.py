@@ -245,6 +245,7 @@ def test_a_dataset_of_other_code_is_replayed_with_a_word(copy):
     edit_json(
         copy / "meta/manifest.json", lambda content: content["provenance"].update(code="0123")
     )
+    column(ROWS, "code", lambda codes: ["0123"] * len(codes))(copy)
     sign(copy)
     told: list[str] = []
     assert "replay" not in {finding.check for finding in verify(copy, replayed=1, note=told.append)}
@@ -275,3 +276,17 @@ def test_the_command_counts_and_shortens_and_writes_what_it_found(copy, tmp_path
     assert "\x1b" not in told
     assert "and 5 more" in told
     assert len(json.loads((tmp_path / "findings.json").read_text())) == 6
+
+
+def test_three_episodes_are_played_again_unless_told_otherwise(sound, capsys):
+    assert main(["verify", str(sound)]) == 0
+    assert "replaying the episodes" in capsys.readouterr().out
+    assert main(["verify", str(sound), "--replay", "0"]) == 0
+    assert "replaying" not in capsys.readouterr().out
+
+
+def test_a_dataset_that_cannot_be_played_again_says_so(tmp_path):
+    root = generated(tmp_path / "d", "--image-size", "0", "--salt", "a secret of sixteen letters")
+    told: list[str] = []
+    assert not verify(root, replayed=1, note=told.append)
+    assert any("salt" in note and "played again" in note for note in told)

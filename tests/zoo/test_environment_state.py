@@ -14,7 +14,6 @@ from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.dataset import read_episodes
-from dynahoi_lerobot.env import register_envs
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.report.entries import unique_labels
 from dynahoi_lerobot.sampling.recipe import Recipe
@@ -24,6 +23,7 @@ from tests.checkpoints import tiny_act
 from tests.env.test_lerobot_plugin import through_lerobot
 from tests.tools import generated
 
+ENV = "dynahoi_lerobot.env:dynahoi/constant-v0"
 KEY = "observation.environment_state"
 
 
@@ -71,15 +71,14 @@ def test_a_dataset_holds_it_on_request_and_lerobot_reads_it(data: Path) -> None:
 
 
 def test_an_environment_shows_it_on_request() -> None:
-    register_envs()
     options = {"image_size": 0}
-    env = gym.make("dynahoi/constant-v0", environment_state="truth", **options)
+    env = gym.make(ENV, environment_state="truth", **options)
     observation, _ = env.reset(seed=0)
     assert env.observation_space.contains(observation)
     batch = env.unwrapped._vector._batch
     truth = np.concatenate([batch.target_pose[0], batch.target_velocity[0]])
     np.testing.assert_allclose(observation["environment_state"], truth, atol=1e-6)
-    blind = gym.make("dynahoi/constant-v0", **options)
+    blind = gym.make("dynahoi_lerobot.env:dynahoi/constant-v0", **options)
     assert "environment_state" not in blind.reset(seed=0)[0]
     assert "environment_state" not in blind.observation_space.spaces
 
@@ -146,8 +145,7 @@ def test_a_dataset_holds_where_the_eye_saw_the_target(by_eye: Path) -> None:
 
 
 def test_an_environment_shows_where_the_eye_sees_it() -> None:
-    register_envs()
-    env = gym.make("dynahoi/constant-v0", environment_state="eye", image_size=96)
+    env = gym.make(ENV, environment_state="eye", image_size=96)
     observation, _ = env.reset(seed=0)
     assert env.observation_space.contains(observation)
     np.testing.assert_array_equal(

@@ -12,6 +12,8 @@ import numpy as np
 import warp as wp
 from mujoco.batch import Batch
 
+from dynahoi_lerobot.core.caches import ensure_caches
+
 NO_CUDA = b"Could not find or load the NVIDIA CUDA driver"
 """Warp's native library writes this on every machine without a GPU, whatever the log level."""
 
@@ -34,6 +36,7 @@ def _without_line(holding: bytes) -> Iterator[None]:
             os.write(2, b"".join(line for line in held if holding not in line))
 
 
+ensure_caches()
 wp.config.log_level = wp.LOG_WARNING  # before Warp is initialised
 with _without_line(NO_CUDA):
     wp.init()

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import draccus
+import yaml
 from lerobot.configs import PreTrainedConfig, parser
 
 from dynahoi_lerobot.core.reading import ReadError, read_object, read_yaml
@@ -16,6 +17,7 @@ from dynahoi_lerobot.evaluate.checkpoint import (
     CONFIG,
     described_folder,
     folder_weights,
+    renamed,
     trained_for,
 )
 from dynahoi_lerobot.rollout.inference import QueuedPolicy
@@ -30,6 +32,8 @@ class Launch:
         rules: values of fields of `Rules` that its checkpoint was trained for, see ``trained_for``.
         weights: sha256 of the weights of the local checkpoint that ``lerobot-eval`` plays; nothing
             elsewhere: in training the checkpoint is what training began with.
+        renames: the rename map that the checkpoint was trained with, if the command line gives
+            none: LeRobot then leaves out what the checkpoint renames.
         config: of the policy; None if the command line names no policy, or nobody asks.
         output_dir: LeRobot's.
     """
@@ -37,6 +41,7 @@ class Launch:
     policy: str = "policy"
     rules: dict[str, Any] = field(default_factory=dict)
     weights: dict[str, str] = field(default_factory=dict)
+    renames: dict[str, str] = field(default_factory=dict)
     config: Any = None
     output_dir: Path = Path("outputs")
 
@@ -80,25 +85,42 @@ def read_launch(*, policy_config: bool = False) -> Launch:
     path = parser.parse_arg("policy.path") or parser.parse_arg("policy.pretrained_path")
     rules: dict[str, Any] = {}
     weights: dict[str, str] = {}
+    renames: dict[str, str] = {}
     name = path or parser.get_type_arg("policy") or "policy"
     if path:
         try:
             folder = described_folder(path)
-            rules = trained_for(folder)
+            given = _rename_map()
+            renames = {} if given else renamed(folder)
+            rules = trained_for(folder, given or renames)
             name = path if folder != Path(path) else str(read_object(folder / CONFIG).get("type"))
         except ReadError:
             pass  # LeRobot says what is wrong with it
     if path and Path(sys.argv[0]).stem.replace("_", "-") == "lerobot-eval":
         weights = folder_weights(Path(path))
     config = _policy_config() if policy_config else None
-    return Launch(name, rules, weights, config, _output_dir())
+    return Launch(name, rules, weights, renames, config, _output_dir())
 
 
 def _output_dir() -> Path:
-    """LeRobot's ``--output_dir``, which the file of ``--config_path`` may give, too."""
+    """LeRobot's ``--output_dir``."""
+    return Path(_option("output_dir") or "outputs")
+
+
+def _rename_map() -> dict[str, str]:
+    """LeRobot's ``--rename_map``, as far as it is one."""
+    given = _option("rename_map")
+    names = yaml.safe_load(given) if isinstance(given, str) else given
+    return names if isinstance(names, dict) else {}
+
+
+def _option(name: str) -> Any:
+    """The value of an option of LeRobot's, which the file of ``--config_path`` may give, too; None
+    if neither does.
+    """
     config = Path(parser.parse_arg("config_path") or "")
     told = read_yaml(config) if config.is_file() else {}
-    return Path(parser.parse_arg("output_dir") or told.get("output_dir") or "outputs")
+    return parser.parse_arg(name) or told.get(name)
 
 
 def _policy_config() -> Any | None:

@@ -1,12 +1,15 @@
 """The config behind ``--env.type=dynahoi``: what LeRobot may set, and the vector envs it gets."""
 
-from dataclasses import dataclass, field, make_dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, make_dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, get_type_hints
 
 import gymnasium as gym
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
+from lerobot.processor import PolicyProcessorPipeline, RenameObservationsProcessorStep
 from lerobot.utils.constants import OBS_ENV_STATE
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
@@ -43,7 +46,8 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
 
     Attributes:
         task: one kind of motion, one category, several of either separated by commas, or None for
-            all 22 kinds.
+            all 22 kinds. A registered motion outside the split is played if it is named, as by
+            ``dynahoi evaluate --motions``.
         inference: ``sync``, the world waits for the policy, or ``async``, its inferences take
             ``latency_ms``, one at a time (`rollout.inference.StepwiseInference`).
         latency_ms: time from an observation to the chunk that answers it [ms].
@@ -75,7 +79,6 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
             told = "must be 1, because LeRobot's parallel tasks share one policy and its memory"
             raise ValueError(f"env.max_parallel_tasks {told}, got {self.max_parallel_tasks}")
         recipe = self.recipe()
-        kinds_of(self.task, recipe.motion_names)
         known("reward", self.reward, REWARDS)
         self._describe(recipe.rules)
 
@@ -90,7 +93,9 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
         """
         given = {name: getattr(self, name) for name in OFFERED}
         told = {name: value for name, value in given.items() if value is not None}
-        return changed(Recipe(split="test"), (trained or {}) | told)
+        recipe = changed(Recipe(split="test"), (trained or {}) | told)
+        kinds = kinds_of(self.task, recipe.motion_names)
+        return recipe if set(kinds) <= set(recipe.motion_names) else replace(recipe, motions=kinds)
 
     def create_envs(
         self, n_envs: int, use_async_envs: bool = False
@@ -107,7 +112,7 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
         launch = read_launch(policy_config=timing.mode != SYNC)
         recipe = self.recipe(launch.rules)
         self._announce(launch)
-        self._describe(recipe.rules)
+        self._describe(recipe.rules, launch.renames)
         policy = None if timing.mode == SYNC else launch.queued_policy(self.n_action_steps)
         log = self._log(launch, recipe, timing)
         suites: dict[str, dict[int, gym.vector.VectorEnv]] = {}
@@ -120,6 +125,13 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
             }
             tasks[len(tasks)] = TaskEnv(n_envs, on_episode=log, kind=kind, **options)
         return suites
+
+    def get_env_processors(self) -> tuple[PolicyProcessorPipeline, PolicyProcessorPipeline]:
+        """Return what LeRobot passes observations and actions through: the images get the names
+        that the policy of the command line knows them by.
+        """
+        renaming = RenameObservationsProcessorStep(read_launch().renames)
+        return PolicyProcessorPipeline([renaming]), PolicyProcessorPipeline([])
 
     def _log(self, launch: Launch, recipe: Recipe, timing: Inference) -> ResultsLog:
         """Return what writes the results."""
@@ -144,7 +156,7 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
         if told:
             print(f"playing as the policy was trained: {', '.join(told)}")
 
-    def _describe(self, rules: Rules) -> None:
+    def _describe(self, rules: Rules, renames: Mapping[str, str] = MappingProxyType({})) -> None:
         """Fill in ``features`` (by Gymnasium key, images by dataset key) and ``features_map``.
 
         LeRobot's recording of evaluations looks for images under dataset keys, and for all else
@@ -158,7 +170,9 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
         self.features = {
             key: PolicyFeature(_type(feature), feature.shape) for key, feature in shown.items()
         }
-        self.features_map = {key: feature.key for key, feature in shown.items()}
+        self.features_map = {
+            key: renames.get(feature.key, feature.key) for key, feature in shown.items()
+        }
 
 
 def _type(feature: Feature) -> FeatureType:
@@ -169,18 +183,20 @@ def _type(feature: Feature) -> FeatureType:
     return FeatureType.STATE if feature.observed else FeatureType.ACTION
 
 
-def kinds_of(task: str | None, known: list[str]) -> list[str]:
-    """Return the kinds that ``task`` names, in the order of ``known``.
+def kinds_of(task: str | None, usual: list[str]) -> tuple[str, ...]:
+    """Return the kinds that ``task`` names: of the ``usual`` ones of a split in their order, and
+    then other registered ones.
 
     Raises:
-        ValueError: if a name is neither a kind nor a category.
+        ValueError: if a name is neither a registered kind nor a category of the usual ones.
     """
     if task is None:
-        return known
+        return tuple(usual)
     wanted = [name.strip() for name in task.split(",")]
-    categories = sorted({MOTIONS[kind].category for kind in known})
+    categories = sorted({MOTIONS[kind].category for kind in usual})
+    others = [name for name in MOTIONS.names() if name not in usual]
+    names = dict.fromkeys([*usual, *categories, *others])
     for name in wanted:
-        if name not in known and name not in categories:
-            allowed = ", ".join([*known, *categories])
-            raise ValueError(f"unknown task {name!r}; known kinds and categories: {allowed}")
-    return [kind for kind in known if kind in wanted or MOTIONS[kind].category in wanted]
+        known("task", name, names)
+    named = [kind for kind in usual if kind in wanted or MOTIONS[kind].category in wanted]
+    return (*named, *(kind for kind in others if kind in wanted))

@@ -23,15 +23,15 @@ from torch import Tensor
 from .configuration_obact import CONTACT, Embodiment
 from .teacher import LONGEST_FRAMES, Targets, Teacher
 
-# columns of a DynaHOI dataset, see its feature table
-CAMERA_POSE, CAMERA_INTRINSICS, HAND_LIMITS = (
-    "stats/{}_camera",
-    "stats/{}_intrinsics",
-    "stats/hand_limits",
-)
-TARGET_PATH, LOCALIZED = "stats/target_path", "stats/localized"
-OPEN_JOINTS, CLOSED_JOINTS = "stats/open_joints", "stats/reference_joints"
-CAPTURE, WINDOW = "capture", "window_frames"
+# the tables of a DynaHOI dataset with a row per episode, per frame, and per episode again, and
+# their columns, see its card
+EPISODES, CAPTURE, WINDOW = "meta/episodes", "capture", "window_frames"
+TRUTH, LOCALIZED = "meta/privileged", "localized"
+CONSTANTS, TARGET_PATH, HAND_LIMITS = "meta/privileged_episodes", "target_path", "hand_limits"
+OPEN_JOINTS, CLOSED_JOINTS = "open_joints", "reference_joints"
+CAMERA_POSE, CAMERA_INTRINSICS = "{}_camera", "{}_intrinsics"
+SCHEMA = 1
+"""Of the datasets of DynaHOI that are read here."""
 RADIUS_M = {"attach": 0.03, "attach_lenient": 0.1}
 """Within which a palm has the target, by the rule of capture."""
 CARRIED_VIEW = "ego"  # the view of the camera that the palm carries
@@ -40,58 +40,66 @@ CLOSED_QUANTILE = 0.6
 of them."""
 
 
-def episode_columns(meta: Any, wanted: Iterable[str]) -> dict[str, list[Any]]:
-    """Return those of the ``wanted`` columns that the dataset has, an item an episode, in the order
-    of episodes.
-
-    LeRobot's own table of episodes leaves out the columns ``stats/``.
+def table_columns(meta: Any, folder: str, wanted: Iterable[str]) -> dict[str, list[Any]]:
+    """Return those of the ``wanted`` columns that the table in a folder's files has, in the order
+    of episodes and their frames; nothing if the dataset has no such table.
     """
-    folder = meta.root / "meta/episodes"
-    names = sorted({*wanted}.intersection(pq.ParquetDataset(folder).schema.names))
-    table = pq.read_table(folder, columns=["episode_index", *names]).sort_by("episode_index")
+    if not (meta.root / folder).is_dir():
+        return {}
+    held = pq.ParquetDataset(meta.root / folder).schema.names
+    order = [key for key in ("episode_index", "frame_index") if key in held]
+    names = [name for name in wanted if name in held]
+    table = pq.read_table(meta.root / folder, columns=[*{*order, *names}])
+    table = table.sort_by([(key, "ascending") for key in order])
     return {name: table[name].to_pylist() for name in names}
 
 
 def rules_of(meta: Any) -> dict[str, Any]:
     """Return how the episodes of a dataset were played, as its manifest says; nothing if it has
     none.
+
+    Raises:
+        ValueError: if the manifest is of another schema than the one that is read here.
     """
     manifest = meta.root / "meta" / "manifest.json"
-    told = json.loads(manifest.read_text()) if manifest.exists() else {}
+    if not manifest.exists():
+        return {}
+    told = json.loads(manifest.read_text())
+    found = told.get("schema")
+    if found != SCHEMA:
+        raise ValueError(
+            f"{manifest} has schema {found!r}, and this policy reads schema {SCHEMA}; generate the "
+            "dataset again"
+        )
     for key in ("provenance", "recording", "recipe", "rules"):
         told = told.get(key) or {}
     return told
 
 
 def embodiment_of(meta: Any, cameras: list[str]) -> Embodiment:
-    """Return what a dataset says of its clock, its cameras, its hand and its targets.
-
-    Episodes merged from elsewhere may lack these columns. Camera poses and hand limits then come
-    from the first episode that has them; the target's path counts only if every episode has one.
-    """
+    """Return what a dataset says of its clock, its cameras, its hand and its targets."""
     views, calibration = {key: key.split(".")[-1] for key in cameras}, {}
     of_cameras = [
         name.format(view) for view in views.values() for name in (CAMERA_POSE, CAMERA_INTRINSICS)
     ]
-    table = episode_columns(meta, [*of_cameras, HAND_LIMITS, CAPTURE, LOCALIZED])
+    constants = table_columns(meta, CONSTANTS, [*of_cameras, HAND_LIMITS, TARGET_PATH])
+    captures = table_columns(meta, EPISODES, [CAPTURE]).get(CAPTURE)
+    if captures and not constants:
+        logging.warning(
+            "%s is gone, which LeRobot's tools drop when they edit a dataset: only actions are "
+            "learned",
+            meta.root / CONSTANTS,
+        )
     for key, view in views.items():
-        pose = _first(table, CAMERA_POSE.format(view))
-        if pose is not None:
-            focal_px, _, centre_px, _ = _first(table, CAMERA_INTRINSICS.format(view))
+        if CAMERA_POSE.format(view) in constants:
+            pose = constants[CAMERA_POSE.format(view)][0]
+            focal_px, _, centre_px, _ = constants[CAMERA_INTRINSICS.format(view)][0]
             calibration[key] = [*pose, centre_px / focal_px, float(view == CARRIED_VIEW)]
-    speed, _, latency_ms = _first(table, HAND_LIMITS) or (0.0, 0.0, 0.0)
+    speed, _, latency_ms = constants.get(HAND_LIMITS, [(0.0, 0.0, 0.0)])[0]
     # with the palm's displacement as action (control mode grasp), the teachers' answers would be of
     # another kind
     absolute = meta.features[ACTION]["shape"] == meta.features.get(OBS_STATE, {}).get("shape")
-    captures: list[Any] = table[CAPTURE] if LOCALIZED in table and absolute else [None]
-    lacking = captures.count(None)
-    if 0 < lacking < len(captures):
-        logging.warning(
-            "%d of %d episodes lack the target's path: only actions are learned",
-            lacking,
-            len(captures),
-        )
-    capture = "" if lacking else captures[0]
+    capture = captures[0] if captures and TARGET_PATH in constants and absolute else ""
     if capture == CONTACT:
         logging.warning("targets must be gripped: only actions are learned")
         capture = ""
@@ -103,11 +111,6 @@ def embodiment_of(meta: Any, cameras: list[str]) -> Embodiment:
         capture=capture,
         radius_m=RADIUS_M.get(capture, Embodiment.radius_m),
     )
-
-
-def _first(table: dict[str, list[Any]], name: str) -> Any:
-    """Return the first value of a column that is not null; None if there is none."""
-    return next((value for value in table.get(name, []) if value is not None), None)
 
 
 @dataclass(frozen=True)
@@ -123,24 +126,32 @@ class TargetTable:
 
     @classmethod
     def of(cls, meta: Any, embodiment: Embodiment) -> TargetTable:
-        """Return that of the dataset of LeRobot's metadata, which has the target's path."""
-        wanted = ("length", WINDOW, TARGET_PATH, LOCALIZED, OPEN_JOINTS, CLOSED_JOINTS)
-        table = episode_columns(meta, wanted)
-        paths = [torch.tensor(np.array(x, np.float32)).reshape(-1, 3) for x in table[TARGET_PATH]]
-        free = [flags.index(True) if True in flags else len(flags) for flags in table[LOCALIZED]]
-        open_joints, closed_joints = (
-            torch.tensor(np.stack(table[name]), dtype=torch.float32).quantile(
-                CLOSED_QUANTILE, dim=0
+        """Return that of the dataset of LeRobot's metadata, which has the target's path.
+
+        Raises:
+            ValueError: if its privileged tables are of other episodes.
+        """
+        episodes = table_columns(meta, EPISODES, ["length", WINDOW])
+        count = torch.tensor(episodes["length"])
+        truth = table_columns(meta, TRUTH, [LOCALIZED, "episode_index"])
+        if not np.array_equal(np.bincount(truth["episode_index"]), count):
+            raise ValueError(
+                f"{meta.root / TRUTH} is of other episodes than {meta.root / EPISODES}: another "
+                "tool has edited the dataset; `dynahoi verify` says what is left of it"
             )
+        constants = table_columns(meta, CONSTANTS, [TARGET_PATH, OPEN_JOINTS, CLOSED_JOINTS])
+        paths = [_tensor(path) for path in constants[TARGET_PATH]]
+        caught = torch.tensor(truth[LOCALIZED]).split(count.tolist())
+        open_joints, closed_joints = (
+            _tensor(constants[name]).quantile(CLOSED_QUANTILE, dim=0)
             for name in (OPEN_JOINTS, CLOSED_JOINTS)
         )
         hand = embodiment.fps, embodiment.step_m, open_joints, closed_joints
-        count = torch.tensor(table["length"])
         return cls(
             torch.nn.utils.rnn.pad_sequence(paths, batch_first=True),
             torch.tensor([len(path) for path in paths]),
-            torch.tensor(free),
-            torch.tensor([frames or 0 for frames in table[WINDOW]], dtype=torch.long),
+            torch.tensor([int((~held.flatten()).cumprod(0).sum()) for held in caught]),
+            torch.tensor([frames or 0 for frames in episodes[WINDOW]], dtype=torch.long),
             count.cumsum(0) - count,
             Teacher(*hand, radius_m=embodiment.radius_m),
         )
@@ -158,3 +169,8 @@ class TargetTable:
         path, free = self.path[episode[:, None], inside], self.free[episode]
         targets = Targets(path, length - first, free - first)
         return targets, self.begin[episode] - first
+
+
+def _tensor(rows: list[Any]) -> Tensor:
+    """Return rows of numbers as (n, D) float32."""
+    return torch.from_numpy(np.array(rows, np.float32)).reshape(len(rows), -1)

@@ -24,6 +24,7 @@ import torch
 from einops import einsum, rearrange, repeat
 from lerobot.policies.pretrained import PreTrainedPolicy
 from lerobot.utils.constants import ACTION, OBS_STATE
+from safetensors.torch import load_file
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
@@ -33,11 +34,14 @@ from .configuration_obact import HEADS, ObActConfig
 from .encoders import ENCODERS, N_SIGHTING, Encoder
 from .frames import Frames, Record, gather_frames, palm_of, stepped
 from .heads import perceptron
+from .threads import on_one_thread
 
 if TYPE_CHECKING:
     from .dataset import TargetTable
     from .windows import Window
 
+AVERAGED = "average.module."
+"""Names of averaged weights begin so in a file."""
 Batch = dict[str, Any]
 
 FORECAST_FRAMES = (0, 1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48)
@@ -116,8 +120,8 @@ class ObActPolicy(PreTrainedPolicy):
         from .dataset import TargetTable, embodiment_of, rules_of
 
         config = self.config
-        knew, config.embodiment = config.forecasts, embodiment_of(meta, config.cameras)
         config.rules = rules_of(meta)
+        knew, config.embodiment = config.forecasts, embodiment_of(meta, config.cameras)
         if config.pretrained_path and knew and not config.forecasts:
             raise ValueError(
                 f"{config.pretrained_path} learned from the target's path, which "
@@ -262,6 +266,7 @@ class ObActPolicy(PreTrainedPolicy):
         self._commands: dict[int, Tensor] = {}  # where palms were sent to [m], by frame, (B, 3)
         self.decision: Decision | None = None  # the newest
 
+    @on_one_thread
     @torch.no_grad()
     def select_action(self, batch: Batch, **kwargs: Any) -> Tensor:
         """Return the next action of every environment, ``(B, A)``; call it once per control step.
@@ -286,6 +291,7 @@ class ObActPolicy(PreTrainedPolicy):
         same = all(image.equal(shown[key]) for key, image in images.items())
         return same and self._actor.state_of(batch).to(state).equal(state)
 
+    @on_one_thread
     @torch.no_grad()
     def predict_action_chunk(self, batch: Batch, inference_delay: int = 0, **kwargs: Any) -> Tensor:
         """Return a whole chunk, ``(B, H, A)``; see `observe`.
@@ -300,6 +306,7 @@ class ObActPolicy(PreTrainedPolicy):
         self.observe(batch)
         return self._chunk(inference_delay)
 
+    @on_one_thread
     @torch.no_grad()
     def observe(self, batch: Batch) -> None:
         """Add a frame to the history without acting, for callers that ask for chunks now and then.
@@ -411,6 +418,25 @@ class ObActPolicy(PreTrainedPolicy):
         more.
         """
         return super().from_pretrained(pretrained_name_or_path, load_pretrained=False, **kwargs)
+
+    @classmethod
+    def _load_as_safetensor(
+        cls, model: Self, model_file: str, map_location: str, strict: bool
+    ) -> Self:
+        """Load weights. A policy that keeps no average, such as the base of an adapter, continues
+        with the averaged weights, as `keep_average` does.
+        """
+        loaded = super()._load_as_safetensor(model, model_file, map_location, strict)
+        if loaded.average is None:
+            stored = load_file(model_file, device="cpu")
+            averaged = {
+                name.removeprefix(AVERAGED): weight
+                for name, weight in stored.items()
+                if name.startswith(AVERAGED)
+            }
+            if averaged:
+                loaded.model.load_state_dict(averaged)
+        return loaded
 
     def keep_average(self) -> None:
         """Continue with the averaged weights alone, which acted so far."""

@@ -6,13 +6,11 @@ import json
 import pickle
 import shutil
 import sys
-from dataclasses import replace
 from itertools import chain, repeat
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import torch
@@ -38,12 +36,11 @@ from lerobot_policy_obact.frames import stepped
 from safetensors.torch import load_file
 from torch.utils.data import DataLoader
 
-from dynahoi_lerobot.core.features import episode_features
 from dynahoi_lerobot.dataset import episode_column
 from dynahoi_lerobot.encode import encode
 from tests.checkpoints import FEATURES, SMALL_GR00T
 from tests.checkpoints import SHIPPED as SHIPPED_POLICY
-from tests.tools import generated, python
+from tests.tools import edit_json, generated, python
 
 N_EPISODES, N_FRAMES, FPS, SIZE = 2, 30, 10, 48
 TINY = {
@@ -282,15 +279,33 @@ def test_images_are_not_decoded_for_frames_to_come(image_root):
         learner(image_root)
 
 
+def edited(root: Path, copy: Path) -> Path:
+    """Copy a dataset without what LeRobot's tools drop."""
+    shutil.copytree(root, copy)
+    (copy / "meta/manifest.json").unlink()
+    for name in ("privileged", "privileged_episodes"):
+        shutil.rmtree(copy / "meta" / name)
+    return copy
+
+
 def test_without_the_targets_path_the_closed_loop_is_off_and_says_so(hand_root, tmp_path, caplog):
-    root = shutil.copytree(hand_root, tmp_path / "other")
-    (file,) = (root / "meta/episodes").glob("*/*.parquet")
-    table = pq.read_table(file)
-    ours = [name for name in table.column_names if name in ("stats/target_path", "stats/localized")]
-    pq.write_table(table.drop(ours), file)
+    root = edited(hand_root, tmp_path / "other")
     policy = learner(root)
     assert "the closed loop is off for local/tiny: it lacks the target's path" in caplog.text
     assert set(policy(batch_of(policy, root))[1]) == {"action"}
+    assert policy.config.rules == {}
+    assert policy.config.embodiment == Embodiment(fps=20.0)
+
+
+def test_privileged_tables_of_other_episodes_and_other_schemas_are_refused(hand_root, tmp_path):
+    root = shutil.copytree(hand_root, tmp_path / "d")
+    (file,) = (root / dataset.TRUTH).glob("*/*.parquet")
+    pq.write_table(pq.read_table(file).slice(20), file)
+    with pytest.raises(ValueError, match="of other episodes"):
+        learner(root)
+    edit_json(root / "meta/manifest.json", lambda content: content.update(schema=0))
+    with pytest.raises(ValueError, match=r"schema 0.* reads schema 1"):
+        learner(root)
 
 
 def test_the_closed_loop_counts_once_it_has_imitated(hand_root):
@@ -610,24 +625,3 @@ def test_what_learned_from_the_targets_path_is_not_trained_where_there_is_none(
         ValueError, match="ours learned from the target's path, which local/other lacks"
     ):
         ObActPolicy(config, dataset_meta=meta)
-
-
-def test_episodes_from_elsewhere_leave_the_hand_known_and_only_actions_to_learn(
-    hand_root: Path, tmp_path: Path, caplog
-):
-    root = shutil.copytree(hand_root, tmp_path / "merged")
-    # as LeRobot merges: what an episode lacks is null, and whole numbers become floats
-    (file,) = (root / "meta/episodes").glob("*/*.parquet")
-    table = pq.read_table(file)
-    for number, field in enumerate(table.schema):
-        if field.name in (dataset.CAPTURE, dataset.WINDOW, *(f.key for f in episode_features())):
-            cells = [None, *table[field.name].to_pylist()[1:]]
-            kind = pa.float64() if pa.types.is_integer(field.type) else field.type
-            table = table.set_column(number, field.name, pa.array(cells, kind))
-    pq.write_table(table, file)
-    ours, merged = (LeRobotDatasetMetadata("local/x", root=place) for place in (hand_root, root))
-    cameras = ["observation.images.ego"]
-    known, found = (dataset.embodiment_of(meta, cameras) for meta in (ours, merged))
-    assert known.capture
-    assert found == replace(known, capture="", radius_m=Embodiment.radius_m)
-    assert "1 of 4 episodes" in caplog.text

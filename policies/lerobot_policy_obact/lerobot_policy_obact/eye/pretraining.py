@@ -20,7 +20,7 @@ from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from dynahoi_lerobot.core.conventions import EGO_VIEW
 from dynahoi_lerobot.core.files import write_atomically
-from dynahoi_lerobot.core.reading import WEIGHTS_BYTES, read_text, reading, regular_zip, require
+from dynahoi_lerobot.core.reading import read_text, reading, regular
 from dynahoi_lerobot.core.working_folder import working_folder
 from dynahoi_lerobot.pretrain.recipe import PretrainRecipe
 from dynahoi_lerobot.pretrain.snapshots import ImageStream, calibration
@@ -29,6 +29,14 @@ from ..camera import Pinhole
 from ..encoders import Eye
 
 WEIGHTS, LOG, STATE = "eye.safetensors", "log.jsonl", "state.pt"
+STATE_TYPES = {
+    "updates": int,
+    "processor_s": float,
+    "weights": dict,
+    "optimizer": dict,
+    "log": str,
+}
+"""What a saved state holds."""
 HEAT_WEIGHT = 0.3
 WARMUP_UPDATES, GRADIENT_CLIP = 200, 5.0
 
@@ -133,9 +141,7 @@ class RunFolder:
             (self.path / LOG).unlink(missing_ok=True)
             return None
         with reading(self.path / STATE):
-            state = torch.load(
-                regular_zip(self.path / STATE, WEIGHTS_BYTES), weights_only=True, map_location="cpu"
-            )
+            state = torch.load(regular(self.path / STATE), weights_only=True, map_location="cpu")
             log = str(state["log"])
         write_atomically(
             {self.path / LOG: lambda path: path.write_text(log)}
@@ -180,16 +186,9 @@ class Training:
         self._folder = RunFolder(recipe.out, draccus.encode(replace(recipe, out=Path())))
         with reading(recipe.out / STATE):
             if state := self._folder.restore():
-                require(
-                    state,
-                    {
-                        "updates": int,
-                        "processor_s": float,
-                        "weights": dict,
-                        "optimizer": dict,
-                        "log": str,
-                    },
-                )
+                for name, kind in STATE_TYPES.items():
+                    if not isinstance(state.get(name), kind):
+                        raise TypeError(f"it has no {name!r} of type {kind.__name__}")
                 self.n_updates, self._spent_s = state["updates"], state["processor_s"]
                 if not 1 <= self.n_updates <= recipe.updates or not 0 <= self._spent_s < math.inf:
                     told = f"{self.n_updates} updates in {self._spent_s} s"
@@ -197,7 +196,6 @@ class Training:
                         f"it says {told}; it must be 1 to {recipe.updates}, in 0 s or more"
                     )
                 self._eye.load_state_dict(state["weights"])
-                require(state["optimizer"], {"state": dict[int, dict[str, Any]]})
                 moments = state["optimizer"]["state"]
                 for place, weight in enumerate(self._eye.parameters()):
                     wanted = {

@@ -12,6 +12,7 @@ from einops import rearrange
 
 from ..camera import Pinhole
 from ..encoders import SHIPPED, Eye
+from ..threads import on_one_thread
 
 
 class EyeSensor:
@@ -42,6 +43,7 @@ class EyeSensor:
         self._eye = Eye(weights=name).eval()
         self._eye.load_pretrained()
 
+    @on_one_thread
     @torch.inference_mode()
     def see(self, images: np.ndarray, before: np.ndarray) -> np.ndarray:
         """Return sightings ``(F, 5)`` float32: (u, v, log depth) of the target in the camera's

@@ -1,0 +1,232 @@
+"""What `against.py` measures of a checkout: a program for that checkout's own Python, which is
+given the name of a measure and its settings as JSON and prints numbers as JSON.
+
+Nothing of the project is imported before a measure begins, so that start-up counts as users see it.
+"""
+
+import json
+import os
+import resource
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+BEGIN = time.perf_counter()
+os.environ.setdefault("MUJOCO_GL", "egl")
+Numbers = dict[str, float]
+
+
+class _FirstFrame(BaseException):
+    """Ends a command once it moves a world."""
+
+
+@dataclass
+class Settings:
+    """How large measures are.
+
+    Attributes:
+        checkout: where the measured build lies, for what it measures against.
+        episodes: of a generated dataset.
+        plain_episodes: of one without images.
+        processes: that generate.
+        num_envs: worlds of an environment.
+        steps: of it.
+        image_size: side of images [px].
+    """
+
+    checkout: str
+    episodes: int = 256
+    plain_episodes: int = 256
+    processes: int = os.cpu_count() or 1
+    num_envs: int = 64
+    steps: int = 240
+    image_size: int = 128
+
+
+def generation(settings: Settings) -> Numbers:
+    """Until the first episode is written, imports included; then each frame after it."""
+    return _generate(settings.episodes, settings.image_size, settings.processes)
+
+
+def plain_generation(settings: Settings) -> Numbers:
+    """The same without images, where the largest process is the one that merges."""
+    return _generate(settings.plain_episodes, 0, settings.processes)
+
+
+def _generate(episodes: int, image_size: int, processes: int) -> Numbers:
+    from dynahoi_lerobot.generate.pipeline import generate
+    from dynahoi_lerobot.generate.plan import LARGEST_SHARD, GenerationPlan
+    from dynahoi_lerobot.rollout.loop import record
+    from dynahoi_lerobot.rollout.recording import Recording
+
+    shard = min(LARGEST_SHARD, -(-episodes // processes))  # as in a large dataset
+    plan = GenerationPlan(Recording.of(image_size=image_size), episodes, shard_episodes=shard)
+    first: list[tuple[int, float, float]] = []
+
+    def note_first(done: int) -> None:
+        if done and not first:
+            first.append((done, *_spent()))
+
+    with tempfile.TemporaryDirectory() as folder:
+        root, play = Path(folder) / "dataset", partial(record, threads=1)
+        manifest = generate(plan, root, record=play, workers=processes, progress=note_first)
+    (done, wall_s, cpu_s), (end_wall_s, end_cpu_s) = first[0], _spent()
+    frames = manifest.frames * (1 - done / episodes)
+    return {
+        "start-up, wall s": wall_s,
+        "start-up, CPU s": cpu_s,
+        "1,000 frames, wall s": 1000 * (end_wall_s - wall_s) / frames,
+        "1,000 frames, CPU s": 1000 * (end_cpu_s - cpu_s) / frames,
+        "largest process, MB": _largest_mb(),
+    }
+
+
+def state_env(settings: Settings) -> Numbers:
+    """Steps of the vector environment without images."""
+    return _steps(_native, settings, image_size=0)
+
+
+def image_env(settings: Settings) -> Numbers:
+    """The same with images."""
+    return _steps(_native, settings, image_size=settings.image_size)
+
+
+def async_env(settings: Settings) -> Numbers:
+    """Steps of ``AsyncVectorEnv`` over one plain env per world, without images."""
+    sys.path.insert(0, f"{settings.checkout}/benchmarks")
+    return _steps(_one_process_each, settings, image_size=0)
+
+
+def _native(num_envs: int, image_size: int) -> Any:
+    from dynahoi_lerobot.env import DynahoiVectorEnv
+
+    return DynahoiVectorEnv(num_envs, image_size=image_size)
+
+
+def _one_process_each(num_envs: int, image_size: int) -> Any:
+    from gymnasium.vector import AsyncVectorEnv
+    from support.straightforward import StraightforwardEnv  # type: ignore[import-not-found]
+
+    return AsyncVectorEnv([partial(StraightforwardEnv, image_size)] * num_envs)
+
+
+def _steps(make: Callable[[int, int], Any], settings: Settings, image_size: int) -> Numbers:
+    """Actions wander about the measured state, as in `env.py`."""
+    import numpy as np
+
+    env, rng = make(settings.num_envs, image_size), np.random.default_rng(0)
+    seen, _ = env.reset(seed=0)
+    begin: tuple[float, float] = _spent()
+    for step in range(-5, settings.steps):
+        if step == 0:
+            begin = _spent()
+        state = seen["agent_pos"]
+        actions = (state + rng.normal(0.0, 0.01, state.shape)).astype(np.float32)
+        seen = env.step(actions)[0]
+    wall_s, cpu_s = (after - before for after, before in zip(_spent(), begin, strict=True))
+    env.close()
+    thousands = settings.steps * settings.num_envs / 1000
+    return {"1,000 steps, wall s": wall_s / thousands, "1,000 steps, CPU s": cpu_s / thousands}
+
+
+def evaluation(settings: Settings) -> Numbers:
+    """Until ``dynahoi evaluate --policy pursuit --split test`` moves a world, imports included."""
+    del settings
+    from dynahoi_lerobot.cli.main import main
+    from dynahoi_lerobot.world.batch import WorldBatch
+
+    def step(*_: Any, **__: Any) -> None:
+        raise _FirstFrame
+
+    WorldBatch.step = step
+    sys.argv = ["dynahoi", "evaluate", "--policy", "pursuit", "--split", "test"]
+    try:
+        main()
+    except _FirstFrame:
+        wall_s, cpu_s = _spent()
+        return {"first frame, wall s": wall_s, "first frame, CPU s": cpu_s}
+    raise RuntimeError("nothing was played")
+
+
+def shadows(settings: Settings) -> Numbers:
+    """Images of 32 worlds, with shadows and without, on one thread."""
+    from dynahoi_lerobot.rules import Rules
+    from dynahoi_lerobot.sampling.recipe import Recipe
+    from dynahoi_lerobot.sampling.sampler import sample_specs
+    from dynahoi_lerobot.world.batch import WorldBatch
+
+    worlds, rounds = 32, 8
+    specs, seconds = sample_specs(Recipe(split="test"), range(worlds)), {}
+    batches = {}
+    for renderer in ("tiles", "flat"):
+        rules = Rules(image_size=settings.image_size, renderer=renderer)
+        batches[renderer] = WorldBatch(rules, worlds, 1)
+        batches[renderer].reset(range(worlds), specs)
+        batches[renderer].cameras.render()
+        seconds[renderer] = 0.0
+    for _ in range(rounds):  # in turns
+        for renderer, batch in batches.items():
+            _, before = _spent()
+            batch.cameras.render()
+            seconds[renderer] += 1000 * (_spent()[1] - before) / (rounds * worlds)
+    return {
+        "1,000 images with shadows, CPU s": seconds["tiles"],
+        "1,000 images without, CPU s": seconds["flat"],
+        "images/s with shadows, share of without": seconds["flat"] / seconds["tiles"],
+    }
+
+
+def _spent() -> tuple[float, float]:
+    """Wall time since this program began, and processor time of it and its children [s]."""
+    times = os.times()
+    own_s = times.user + times.system + times.children_user + times.children_system
+    return time.perf_counter() - BEGIN, own_s + sum(map(_process_s, _children(os.getpid())))
+
+
+def _children(parent: int) -> list[int]:
+    """Processes that live below ``parent``; none where the system does not tell."""
+    try:
+        direct = [
+            int(child)
+            for task in Path(f"/proc/{parent}/task").iterdir()
+            for child in (task / "children").read_text().split()
+        ]
+    except OSError:
+        return []
+    return [*direct, *(below for child in direct for below in _children(child))]
+
+
+def _process_s(process: int) -> float:
+    try:
+        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return 0.0  # it has ended since, and counts as a child that was waited for
+    return sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
+
+
+def _largest_mb() -> float:
+    who = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    return max(resource.getrusage(one).ru_maxrss for one in who) / 1024
+
+
+MEASURES: dict[str, Callable[[Settings], Numbers]] = {
+    measure.__name__: measure
+    for measure in (
+        generation,
+        plain_generation,
+        state_env,
+        image_env,
+        async_env,
+        evaluation,
+        shadows,
+    )
+}
+
+
+if __name__ == "__main__":
+    print(json.dumps(MEASURES[sys.argv[1]](Settings(**json.loads(sys.argv[2])))))

@@ -1,0 +1,259 @@
+"""The privileged tables: what metrics and teachers read and no policy may see.
+
+``meta/privileged`` has a row per frame, in the order of the frame table. In
+``meta/privileged_episodes`` are constants and arrays whose rows are not frames, a row per episode.
+A cell is a number, or nested lists of the feature's shape. LeRobot fetches both with ``meta/`` and
+reads neither, so they cost no training anything; ``dataset.frame_column`` and
+``dataset.episode_column`` read them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import pyarrow as pa
+
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.features import Feature, privileged_features
+from dynahoi_lerobot.core.reading import ReadError, open_table, read_table
+from dynahoi_lerobot.dataset.columns import SCALARS, column_array, flat_array, numeric_columns
+
+FRAME_KEYS = ("episode_index", "frame_index")
+EPISODE_KEYS = ("episode_index",)
+"""Columns by which the rows of either table are found."""
+
+DROPPED = "LeRobot's tools do not keep them; take the dataset from before, or `dynahoi filter`"
+"""What to do about tables that are missing, or are those of other episodes."""
+
+
+def schemas(features: Iterable[Feature]) -> tuple[pa.Schema, pa.Schema]:
+    """Return the schemas of both tables: of ``features``, the privileged ones count."""
+    kinds = {f.key: (_row_type(f), f.by_frame) for f in features if f.privileged}
+    frames = {key: kind for key, (kind, by_frame) in kinds.items() if by_frame}
+    episodes = {key: kind for key, (kind, by_frame) in kinds.items() if not by_frame}
+    return (
+        pa.schema(dict.fromkeys(FRAME_KEYS, pa.int64()) | frames),
+        pa.schema(dict.fromkeys(EPISODE_KEYS, pa.int64()) | episodes),
+    )
+
+
+def _row_type(feature: Feature) -> pa.DataType:
+    """The type of a cell: nested lists, of a fixed size where every episode has the same."""
+    kind: pa.DataType = SCALARS[feature.dtype]
+    for size in reversed(feature.shape):
+        kind = pa.list_(kind, size)
+    return kind if feature.constant or feature.by_frame else pa.list_(kind)
+
+
+@dataclass(frozen=True)
+class Privileged:
+    """What is privileged of one episode.
+
+    Attributes:
+        frames: its T rows of ``meta/privileged``.
+        episode: its row of ``meta/privileged_episodes``.
+    """
+
+    frames: pa.Table
+    episode: pa.Table
+
+    @classmethod
+    def of(cls, episode: Episode, features: Sequence[Feature]) -> Self:
+        """Return the rows of an episode without their keys: of ``features``, the privileged ones
+        count.
+        """
+        own = (feature for feature in features if feature.privileged)
+        arrays = {f.key: np.asarray(getattr(episode, f.name), f.dtype) for f in own}
+        frames, row = schemas(features)
+        return cls(
+            pa.table(
+                {
+                    key: flat_array(arrays[key], frames.field(key).type)
+                    for key in frames.names
+                    if key not in FRAME_KEYS
+                }
+            ),
+            pa.table(
+                {
+                    key: _cell(arrays[key], row.field(key).type)
+                    for key in row.names
+                    if key not in EPISODE_KEYS
+                }
+            ),
+        )
+
+    def placed(self, episode_index: int) -> Self:
+        """Return the rows with the keys of an episode of this index."""
+        number = np.arange(len(self.frames))
+        keys = {"episode_index": np.full_like(number, episode_index), "frame_index": number}
+        return type(self)(
+            _with_columns(self.frames, keys),
+            _with_columns(self.episode, {"episode_index": np.array([episode_index])}),
+        )
+
+    def values(self) -> dict[str, Any]:
+        """Return the attributes of an Episode that the rows hold: undoes ``of``.
+
+        Raises:
+            KeyError: if a column is missing.
+            ValueError: if a cell has another shape or type than its feature.
+        """
+        stored = (feature for feature in privileged_features() if not feature.derived)
+        return {f.name: (self._by_frame if f.by_frame else self._of_episode)(f) for f in stored}
+
+    def _by_frame(self, feature: Feature) -> np.ndarray:
+        values = column_array(self.frames, feature.key)  # (T, D)
+        return values.astype(feature.dtype, copy=False).reshape(len(self.frames), *feature.shape)
+
+    def _of_episode(self, feature: Feature) -> Any:
+        array = cell_array(self.episode[feature.key][0].as_py(), feature)
+        if feature.shape:
+            return array
+        return array.item() if feature.constant else array[:, 0]
+
+
+def cell_array(cell: Any, feature: Feature) -> np.ndarray:
+    """Return a cell of ``meta/privileged_episodes`` as (D,), or (rows, D) where it is not constant.
+
+    Raises:
+        ValueError: if it is null or of another shape.
+    """
+    if cell is None:
+        raise ValueError(f"its column {feature.key} has a row without a value")
+    shape = feature.column_shape if feature.constant else (-1, *feature.column_shape)
+    return np.array(cell, feature.dtype).reshape(shape)
+
+
+def _cell(values: np.ndarray, kind: pa.DataType) -> pa.Array:
+    """Return a column of one cell."""
+    if pa.types.is_list(kind):
+        return pa.ListArray.from_arrays([0, len(values)], flat_array(values, kind.value_type))
+    return flat_array(values, kind)
+
+
+def _with_columns(table: pa.Table, columns: dict[str, np.ndarray]) -> pa.Table:
+    """Return a table that begins with these columns, and then has its others."""
+    others = {name: table[name] for name in table.column_names if name not in columns}
+    return pa.table({name: pa.array(values) for name, values in columns.items()} | others)
+
+
+class PrivilegedTables:
+    """The privileged tables of a dataset on disk; one that another tool has edited may have none,
+    or those of other episodes.
+    """
+
+    def __init__(self, root: Path, lengths: Callable[[], np.ndarray]) -> None:
+        """Look for the tables below ``root``, a dataset whose episodes have ``lengths`` [frames],
+        (E,).
+        """
+        self._root, self._lengths = root, lengths
+
+    def files(self) -> tuple[list[Path], list[Path]]:
+        """Return the files of the table of frames and of that of episodes, in order."""
+        frames, episodes = (
+            sorted((self._root / folder).glob("*/*.parquet"))
+            for folder in ("meta/privileged", "meta/privileged_episodes")
+        )
+        return frames, episodes
+
+    @cached_property
+    def features(self) -> list[Feature]:
+        """The columns of both tables, in the order of the feature table."""
+        names = {
+            name
+            for files in self.files()
+            for path in files[:1]
+            for name in open_table(path).schema_arrow.names
+        }
+        return [feature for feature in privileged_features() if feature.key in names]
+
+    def feature(self, key: str) -> Feature:
+        """Return one of ``features`` by its key; ValueError if there is none."""
+        for feature in self.features:
+            if feature.key == key:
+                return feature
+        if self.features:
+            raise ValueError(f"{self._root} has no column of numbers {key!r}")
+        raise ValueError(f"{self._root} has no column {key!r} and no privileged tables: {DROPPED}")
+
+    @cached_property
+    def problem(self) -> str:
+        """Why they cannot be read; empty if every frame and every episode has its row.
+
+        Raises:
+            ReadError: if a file is damaged.
+        """
+        frames, episodes = self.files()
+        if not (frames and episodes):
+            return f"{self._root} has no privileged tables: {DROPPED}"
+        number, frame = (keys[:, 0] for keys in numeric_columns(frames, FRAME_KEYS))
+        (index,) = (keys[:, 0] for keys in numeric_columns(episodes, EPISODE_KEYS))
+        lengths = self._lengths()
+        if len(lengths) == len(index) and lengths.sum() == len(frame) and lengths.min() > 0:
+            first = np.repeat(np.cumsum(lengths) - lengths, lengths)
+            wanted = np.repeat(np.arange(len(lengths)), lengths)
+            if (
+                np.array_equal(index, np.arange(len(lengths)))
+                and np.array_equal(number, wanted)
+                and np.array_equal(frame, np.arange(len(frame)) - first)
+            ):
+                return ""
+        return f"{self._root} has the privileged tables of other episodes: {DROPPED}"
+
+    def rows(self, feature: Feature) -> np.ndarray:
+        """Return a column of the table of frames, (N, D); ReadError as ``problem`` says."""
+        self._check()
+        (values,) = numeric_columns(self.files()[0], [feature.key])
+        return values.astype(feature.dtype, copy=False)
+
+    def cells(self, feature: Feature) -> list[np.ndarray]:
+        """Return a column of the table of episodes, an array for each; ReadError as ``problem``
+        says.
+        """
+        self._check()
+        tables = (read_table(path, [feature.key]) for path in self.files()[1])
+        return [
+            cell_array(cell, feature) for table in tables for cell in table[feature.key].to_pylist()
+        ]
+
+    def episode(self, index: int) -> Privileged:
+        """Return the rows of one episode; ReadError as ``problem`` says."""
+        self._check()
+        frames, row = (
+            pa.concat_tables(
+                read_table(path, filters=[("episode_index", "=", index)]) for path in files
+            )
+            for files in self.files()
+        )
+        return Privileged(frames, row)
+
+    def episodes(self) -> Iterator[Privileged]:
+        """Yield the rows of each episode, reading files once; ReadError as ``problem`` says."""
+        self._check()
+        lengths = self._lengths()
+        frames, episodes = self.files()
+        parts = zip(
+            _in_turn(frames, lengths), _in_turn(episodes, np.ones_like(lengths)), strict=True
+        )
+        yield from (Privileged(*tables) for tables in parts)
+
+    def _check(self) -> None:
+        if self.problem:
+            raise ReadError(self.problem)
+
+
+def _in_turn(files: Sequence[Path], counts: np.ndarray) -> Iterator[pa.Table]:
+    """Yield the next rows of a table of several files, so many at a time."""
+    rest = pa.table({})
+    remaining = iter(files)
+    for count in counts:
+        while len(rest) < count:
+            more = read_table(next(remaining))
+            rest = pa.concat_tables([rest, more]) if len(rest) else more
+        yield rest.slice(0, count).combine_chunks()
+        rest = rest.slice(count)

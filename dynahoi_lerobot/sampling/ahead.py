@@ -1,0 +1,75 @@
+"""Episodes drawn in a thread, before the worlds that will play them are free."""
+
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import batched
+
+from dynahoi_lerobot.core.spec import EpisodeSpec
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import sample_specs
+
+AT_ONCE = 8
+"""Episodes that the thread draws together: few, as those begun are also drawn if nobody wants them
+any more."""
+
+
+class SpecsAhead:
+    """Draws a recipe's episodes, those that are to come in a thread.
+
+    An episode is a function of (recipe, seed), so nothing depends on when it is drawn.
+    """
+
+    def __init__(self, recipe: Recipe, *, threads: int = 1, keep: bool = False) -> None:
+        """Draw nothing yet.
+
+        Args:
+            recipe: what to draw from.
+            threads: for rolling targets ahead, of episodes that are wanted at once.
+            keep: whether to keep what was drawn, to draw each episode once.
+        """
+        self._recipe, self._threads, self._keep = recipe, max(1, threads), keep
+        self._pool = ThreadPoolExecutor(1, "episodes")  # starts no thread before it has work
+        self._coming: dict[int, Future[list[EpisodeSpec]]] = {}
+        self._kept: dict[int, EpisodeSpec] = {}
+
+    def take(self, seeds: Sequence[int]) -> list[EpisodeSpec]:
+        """Return the episodes of ``seeds``, in order.
+
+        Raises:
+            ValueError: as ``sample_specs``.
+        """
+        known = self._kept | self._arrived(seeds)
+        missing = list(dict.fromkeys(seed for seed in seeds if seed not in known))
+        drawn = sample_specs(self._recipe, missing, threads=self._threads)
+        known |= dict(zip(missing, drawn, strict=True))
+        if self._keep:
+            self._kept = known
+        return [known[seed] for seed in seeds]
+
+    def prepare(self, seeds: Sequence[int]) -> None:
+        """Begin to draw the episodes of ``seeds``, and forget what was prepared besides."""
+        wanted = dict.fromkeys(seed for seed in seeds if seed not in self._kept)
+        for seed, future in self._coming.items():
+            if seed not in wanted:
+                future.cancel()
+        self._coming = {
+            seed: future
+            for seed, future in self._coming.items()
+            if seed in wanted and not future.cancelled()
+        }
+        for some in batched([seed for seed in wanted if seed not in self._coming], AT_ONCE):
+            future = self._pool.submit(sample_specs, self._recipe, some)
+            self._coming |= dict.fromkeys(some, future)
+
+    def close(self) -> None:
+        """Stop drawing."""
+        self._coming = {}
+        self._pool.shutdown(wait=False, cancel_futures=True)
+
+    def _arrived(self, seeds: Sequence[int]) -> dict[int, EpisodeSpec]:
+        """Wait for those of ``seeds`` that the thread draws; return all that it drew with them, but
+        nothing of where it failed, which is left to who asks for it.
+        """
+        futures = {self._coming[seed] for seed in seeds if seed in self._coming}
+        specs = [spec for one in futures if one.exception() is None for spec in one.result()]
+        return {spec.seed: spec for spec in specs}

@@ -1,0 +1,69 @@
+"""What is wrong with LeRobot's command line is said in one sentence, before LeRobot loads anything
+else.
+"""
+
+import sys
+from pathlib import Path
+
+import pytest
+from lerobot_env_dynahoi.checks import check_command_line
+
+from dynahoi_lerobot.evaluate.results import read_results
+from tests.checkpoints import FEATURES, SHIPPED, tiny_act
+from tests.tools import python
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def checked(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture):
+    def check(*words: str) -> str:
+        monkeypatch.setattr(sys, "argv", ["/bin/lerobot-eval", "--env.type=dynahoi", *words])
+        with pytest.raises(SystemExit) as end:
+            check_command_line()
+        assert end.value.code == 2
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1
+        assert said.startswith("lerobot-eval: ")
+        return said
+
+    return check
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["--env.task=lobb"], "unknown task 'lobb' (did you mean 'lob'?)"),
+        (["--env.task", "lob,nothing"], "'nothing'"),
+        (["--env.hand=claw"], "'claw'"),
+        (["--env.image_size=-3"], "-3"),
+        (["--env.max_parallel_tasks=2"], "got 2"),
+        (["--policy.path=no/such/folder"], "'no/such/folder'"),
+        (["--policy.path=nothing"], "'nothing'"),
+        ([f"--policy.path={SHIPPED.parent}"], "holds no policy"),
+    ],
+)
+def test_a_mistake_is_one_sentence(words: list[str], named: str, checked) -> None:
+    assert named in checked(*words)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["pytest", "--env.task=nothing"],
+        ["lerobot-eval", "--env.type=pusht", "--env.task=nothing"],
+        ["lerobot-eval", "--env.type=dynahoi", "--env.task=lob", f"--policy.path={SHIPPED}"],
+        ["lerobot-eval", "--env.type", "dynahoi", "--env.views", '["side"]'],
+    ],
+)
+def test_other_environments_and_good_options_pass(words: list[str], monkeypatch) -> None:
+    monkeypatch.setattr(sys, "argv", words)
+    check_command_line()
+
+
+def test_ones_own_motion_plays_if_it_is_named(tmp_path: Path) -> None:
+    act = tiny_act(tmp_path / "act", FEATURES["input_features"])
+    python("-m", "tests.third_party.in_lerobot", act, tmp_path, cwd=ROOT)
+    found = read_results(tmp_path / "a_drift")
+    assert [row["kind"] for row in found.rows] == ["a_drift"] * 2
+    assert found.info.recipe["motions"] == ["a_drift"]

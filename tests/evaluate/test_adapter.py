@@ -1,0 +1,182 @@
+"""LoRA adapters and renamed cameras: what LeRobot trains plays here as it plays there."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from lerobot.configs import PreTrainedConfig
+from lerobot.policies.factory import make_policy
+from lerobot_env_dynahoi.configuration_dynahoi import DynahoiEnvConfig
+from lerobot_policy_obact import ObActPolicy
+from safetensors.torch import load_file, save_file
+
+from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.core.reading import sha256
+from dynahoi_lerobot.dataset import read_episodes
+from dynahoi_lerobot.evaluate.checkpoint import PolicyError, checked_folder, trained_for
+from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
+from dynahoi_lerobot.evaluate.results import read_results
+from dynahoi_lerobot.generate.actor import actor_name
+from tests.checkpoints import RENAMES, renamed_act, tiny_adapter
+from tests.env.test_lerobot_plugin import through_lerobot
+from tests.tools import edit_json
+
+
+@pytest.fixture(scope="module")
+def place(actor: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a checkpoint ``base`` and its adapter ``runs/adapter``, which names it so."""
+    folder = tmp_path_factory.mktemp("place")
+    shutil.copytree(actor, folder / "base")
+    tiny_adapter(folder / "base", folder / "runs/adapter", named="base")
+    return folder
+
+
+@pytest.fixture
+def adapter(place: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(place, tmp_path / "place") / "runs/adapter"
+
+
+def test_an_adapter_plays_in_every_command_and_results_name_both_weights(adapter, tmp_path):
+    words = ["--policy", str(adapter), "--episodes", "1", "--out", str(tmp_path / "results")]
+    assert main(["evaluate", *words]) == 0
+    found = read_results(tmp_path / "results")
+    base = adapter.parents[1] / "base/model.safetensors"
+    assert found.info.extra["weights"] == {
+        "adapter_model.safetensors": sha256(adapter / "adapter_model.safetensors"),
+        "base/model.safetensors": sha256(base),
+    }
+    clip = tmp_path / "x.gif"
+    assert main(["view", "--motion", "lob", "--policy", str(adapter), "--out", str(clip)]) == 0
+    assert clip.read_bytes()[:4] == b"GIF8"
+    made = ["generate", "--actor", str(adapter), "--episodes", "1", "--motions", "constant"]
+    assert main([*made, "--image-size", "32", "--root", str(tmp_path / "data")]) == 0
+    assert len(list(read_episodes(tmp_path / "data"))) == 1
+
+
+def test_an_adapter_acts_as_lerobot_makes_it_act(adapter: Path, monkeypatch) -> None:
+    monkeypatch.chdir(adapter.parents[1])
+    config = PreTrainedConfig.from_pretrained(str(adapter))
+    config.pretrained_path = adapter
+    theirs = make_policy(config, env_cfg=DynahoiEnvConfig(image_size=32)).eval()
+    ours = PolicyAgent(str(adapter))._policy
+    plain = PolicyAgent("base")._policy
+    batch = {key: torch.rand(1, *feature.shape) for key, feature in config.input_features.items()}
+    acted = [policy.select_action(dict(batch)) for policy in (theirs, ours, plain)]
+    torch.testing.assert_close(acted[0], acted[1], atol=0, rtol=0)
+    assert not torch.allclose(acted[0], acted[2]), "the adapter changes something"
+
+
+def test_an_adapter_of_a_checkpoint_with_an_average_adapts_the_average(actor, tmp_path) -> None:
+    config = PreTrainedConfig.from_pretrained(str(actor))
+    config.ema_decay = 0.9
+    training = ObActPolicy(config)
+    for weight in training.acting.parameters():
+        weight.data += 0.05 * torch.randn_like(weight)
+    base, folder = tmp_path / "base", tmp_path / "adapter"
+    training.save_pretrained(base)
+    for file in actor.glob("policy_*"):
+        shutil.copy(file, base)
+    loaded = PolicyAgent(str(tiny_adapter(base, folder)))._policy
+    found = dict(loaded.model.named_parameters())
+    for name, weight in training.acting.named_parameters():
+        adapted = name.replace(".weight", ".base_layer.weight").replace(".bias", ".base_layer.bias")
+        torch.testing.assert_close(found.get(adapted, found.get(name)), weight, atol=0, rtol=0)
+
+
+def test_the_base_is_found_from_any_folder(adapter: Path, monkeypatch, tmp_path) -> None:
+    for folder in (tmp_path, adapter, adapter.parents[1]):
+        monkeypatch.chdir(folder)
+        assert PolicyAgent(str(adapter)).weights
+
+
+def test_a_base_that_is_not_there_is_one_sentence(adapter: Path, capsys) -> None:
+    shutil.rmtree(adapter.parents[1] / "base")
+    assert main(["evaluate", "--policy", str(adapter), "--episodes", "1"]) == 2
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1
+    assert "adapts 'base'" in message
+
+
+@pytest.mark.parametrize("name", [".", "..", "runs/adapter"])
+def test_an_adapter_of_an_adapter_is_refused(name: str, adapter: Path) -> None:
+    edit_json(adapter / "adapter_config.json", lambda c: c.update(base_model_name_or_path=name))
+    with pytest.raises(PolicyError):
+        checked_folder(str(adapter))
+
+
+def test_the_base_passes_the_same_checks(adapter: Path, tmp_path: Path) -> None:
+    marker = tmp_path / "it_ran"
+    step = {"class": "os.mkdir", "config": {"path": str(marker)}}
+    pipeline = adapter.parents[1] / "base/policy_preprocessor.json"
+    edit_json(pipeline, lambda content: content["steps"].append(step))
+    with pytest.raises(PolicyError, match=r"os\.mkdir.*--trust"):
+        PolicyAgent(str(adapter))
+    assert not marker.exists()
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        {"megatron_config": {"a": 1}, "megatron_core": "evil"},
+        {"peft_type": "XLORA"},
+        {"eva_config": {"rho": 2.0}},
+    ],
+)
+def test_an_adapter_that_could_make_peft_load_more_is_refused(told: dict, adapter: Path) -> None:
+    edit_json(adapter / "adapter_config.json", lambda config: config.update(told))
+    with pytest.raises(PolicyError, match="--trust"):
+        checked_folder(str(adapter))
+
+
+@pytest.mark.parametrize("damage", ["one fewer", "one more", "misshapen"])
+def test_weights_of_an_adapter_that_do_not_fit_are_refused(damage: str, adapter: Path) -> None:
+    file = adapter / "adapter_model.safetensors"
+    weights = load_file(file)
+    name = next(iter(weights))
+    if damage == "one fewer":
+        weights.pop(name)
+    elif damage == "one more":
+        weights["base_model.model.surplus.lora_A.weight"] = torch.zeros(3)
+    else:
+        weights[name] = weights[name][:, :-1].contiguous()
+    save_file(weights, file)
+    with pytest.raises(PolicyError, match=r"weights|size mismatch"):
+        PolicyAgent(str(adapter))
+
+
+def test_another_base_is_another_actor(adapter: Path) -> None:
+    before = actor_name(str(adapter))
+    file = adapter.parents[1] / "base/model.safetensors"
+    save_file({name: tensor + 1 for name, tensor in load_file(file).items()}, file)
+    assert actor_name(str(adapter)) != before
+
+
+@pytest.fixture(scope="module")
+def act(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return renamed_act(tmp_path_factory.mktemp("act"))
+
+
+def test_a_checkpoint_with_renamed_cameras_plays_in_every_command(act: Path, tmp_path: Path):
+    told = trained_for(act)
+    assert (told["views"], told["image_size"]) == (("side",), 32)
+    out = str(tmp_path / "results")
+    assert main(["evaluate", "--policy", str(act), "--episodes", "1", "--out", out]) == 0
+    assert read_results(Path(out)).recipe().rules.views == ("side",)
+    clip = tmp_path / "x.gif"
+    assert main(["view", "--motion", "lob", "--policy", str(act), "--out", str(clip)]) == 0
+    made = ["generate", "--actor", str(act), "--episodes", "1", "--motions", "constant"]
+    assert main([*made, "--root", str(tmp_path / "data")]) == 0
+
+
+def test_lerobot_eval_plays_it_with_and_without_the_map(act: Path, tmp_path, monkeypatch):
+    option = (f"--rename_map={json.dumps(RENAMES)}",)
+    found = [
+        through_lerobot(act, tmp_path / str(len(given)), monkeypatch, *given)
+        for given in ((), option)
+    ]
+    assert found[0].recipe().rules.views == ("side",)
+    for one, other in zip(*(results.actions for results in found), strict=True):
+        np.testing.assert_array_equal(one, other)
