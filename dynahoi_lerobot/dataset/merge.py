@@ -8,8 +8,8 @@ re-encodes videos and drops our columns of the episode table.
 """
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
-from itertools import dropwhile, islice
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from itertools import chain, dropwhile, islice
 from pathlib import Path
 from typing import Any
 
@@ -71,9 +71,23 @@ def merge(
     yields: Counter[str] = Counter()
     for manifest in manifests:
         yields.update(manifest.yields)
-    return _assemble(
-        root, [(store, None) for store in stores], limits, provenance or {}, dict(yields)
-    )
+    return _assemble(root, ((store, None) for store in stores), limits, provenance or {}, yields)
+
+
+def merge_in_turn(
+    sources: Iterable[Path], root: Path, *, limits: FileLimits, provenance: dict[str, Any]
+) -> Manifest:
+    """Merge datasets of one plan as ``merge`` does, but each is opened when it is its turn, so that
+    those after it may still be in the making.
+    """
+    yields: Counter[str] = Counter()
+
+    def stores() -> Iterator[tuple[Store, None]]:
+        for source in sources:
+            yields.update(Manifest.read(source).yields)
+            yield Store(source), None
+
+    return _assemble(root, stores(), limits, provenance, yields)
 
 
 def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest:
@@ -100,35 +114,35 @@ def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest
     with reading(root / MANIFEST_PATH):
         require(told := {"limits": {}} | manifest.provenance, {"limits": FileLimits})
         limits = FileLimits(**told["limits"])
-    return _assemble(
-        output, [(store, kept)], limits, manifest.provenance | {"kept": sorted(kept)}, {}
-    )
+    provenance = manifest.provenance | {"kept": sorted(kept)}
+    return _assemble(output, iter([(store, kept)]), limits, provenance, {})
 
 
 def _assemble(
     root: Path,
-    sources: Sequence[tuple[Store, Collection[int] | None]],
+    sources: Iterator[tuple[Store, Collection[int] | None]],
     limits: FileLimits | None,
     provenance: dict[str, Any],
-    yields: dict[str, int],
+    yields: Mapping[str, int],
 ) -> Manifest:
     """Write a dataset of stored episodes: of each source those with the given indices, None for
-    all.
+    all. ``yields`` are read at the end.
     """
-    first = sources[0][0]
-    columns, options = first.privileged.features, {"limits": limits, "features": first.features}
-    # an OSError is of the folder that is written
-    with (
-        reading(first.root, OSError),
-        new_folder(root) as folder,
-        DatasetWriter(folder, columns, **options) as writer,
-    ):
-        for store, kept in sources:
-            opened: dict[str, Opened] = {}
-            for index, stored in enumerate(store.stored_episodes()):
-                if kept is None or index in kept:
-                    writer.copy(store, stored, episode_packets(store, stored.row, opened))
-        return writer.finish(provenance, yields)
+    first, kept_of_first = next(sources)
+    with new_folder(root) as folder:
+        with reading(first.root, OSError):  # an OSError is of the folder that is written
+            columns = first.privileged.features
+            options = {"limits": limits, "features": first.features}
+            made = DatasetWriter(folder, columns, **options)
+        with made as writer:
+            for store, kept in chain([(first, kept_of_first)], sources):
+                opened: dict[str, Opened] = {}
+                with reading(store.root, OSError):
+                    for index, stored in enumerate(store.stored_episodes()):
+                        if kept is None or index in kept:
+                            writer.copy(store, stored, episode_packets(store, stored.row, opened))
+            with reading(first.root, OSError):
+                return writer.finish(provenance, dict(yields))
 
 
 def episode_packets(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -137,14 +137,7 @@ def frame_column(root: Path, key: str) -> np.ndarray:
     """
     store = Store(root)
     if key in numeric_keys(store.features):
-        tables = [store.table(path, [*{"index", key}]) for path in store.data_files()]
-        index, values = (
-            np.concatenate([column_array(table, name) for table in tables])
-            for name in ("index", key)
-        )
-        if not np.array_equal(index[:, 0], np.arange(len(values))):
-            raise ValueError(f"{root} holds its frames in another order; see `dynahoi verify`")
-        return values
+        return store.frame_columns([key])[key]
     feature = store.privileged.feature(key)
     if feature.per != "frame":
         raise ValueError(f"{root} has no column {key!r} with a row per frame")
@@ -378,6 +371,20 @@ class Store:
         return read_table(
             path, columns, None if episode is None else [("episode_index", "=", episode)]
         )
+
+    def frame_columns(self, keys: Sequence[str]) -> dict[str, np.ndarray]:
+        """Return numeric columns of the frame table by key, (N, D) each, in the order of the
+        frames.
+
+        Raises:
+            ValueError: if a file is missing or damaged, or the frames lie in another order.
+        """
+        names = [*{"index", *keys}]
+        columns = dict(zip(names, numeric_columns(self.data_files(), names), strict=True))
+        index = columns["index"]
+        if not np.array_equal(index[:, 0], np.arange(len(index))):
+            raise ValueError(f"{self.root} holds its frames in another order; see `dynahoi verify`")
+        return {key: columns[key] for key in keys}
 
     def full_rows(self) -> Iterator[EpisodeRow]:
         """Yield the rows of the episode table with all their columns."""

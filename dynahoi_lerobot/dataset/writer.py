@@ -8,7 +8,7 @@ import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import chain
+from itertools import batched, chain
 from pathlib import Path
 from typing import Any, Self
 
@@ -33,11 +33,14 @@ from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.dataset.privileged import Privileged, schemas
 from dynahoi_lerobot.dataset.statistics import Stats, column_stats, image_stats, pooled, table_stats
-from dynahoi_lerobot.dataset.store import Store, StoredEpisode, frame_column
+from dynahoi_lerobot.dataset.store import Store, StoredEpisode
 from dynahoi_lerobot.dataset.video import Encoding, VideoFile, copied_stream, encode, encoded_stream
 
 FLUSH_ROWS = 256
 MIB = 2**20
+VALUES_AT_ONCE = 10**6
+"""Frames times columns whose statistics are taken together; reading a few frames costs more for
+each column than for each frame."""
 
 
 def write_episodes(
@@ -371,9 +374,11 @@ class DatasetWriter:
         all frames.
         """
         stats = {key: pooled(found) for key, found in self._image_stats.items()}
-        for key in frame_table.numeric_keys(self.features):
-            values = frame_column(self.root, key)
-            stats[key] = column_stats(values.astype(np.float32) if values.dtype == bool else values)
+        store, at_once = Store(self.root), max(1, VALUES_AT_ONCE // self.frames)
+        for keys in batched(frame_table.numeric_keys(self.features), at_once):
+            for key, values in store.frame_columns(keys).items():
+                numbers = values.astype(np.float32) if values.dtype == bool else values
+                stats[key] = column_stats(numbers)
         return stats
 
     def _info(self) -> dict[str, Any]:

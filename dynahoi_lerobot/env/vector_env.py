@@ -173,6 +173,7 @@ class DynahoiVectorEnv(VectorEnv):
         )
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
         self._threads, self._on_episode, self._inference = threads, on_episode, inference
+        self._specs = SpecsAhead(self.recipe, threads=threads, keep=episodes is not None)
         self._step_limit = max_episode_steps
         self._specs = SpecsAhead(self.recipe, threads=threads, keep=episodes is not None)
         self._batch = WorldBatch(rules, num_envs, threads)

@@ -75,9 +75,9 @@ class PolicyAgent(Agent):
         self.trained_for = checkpoint.trained_for(folder)
         self._chunk: Any = None
         self._frame = 0
+        self._guided = False
         taken = signature(self._policy.predict_action_chunk).parameters
         self._expects_delays = "inference_delay" in taken
-        self._guided = False
         inputs = self._policy.config.input_features
         told = self.trained_for.get("environment_state") or None
         self.environment_state = told if ENVIRONMENT_STATE in inputs else ""

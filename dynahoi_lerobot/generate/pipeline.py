@@ -13,9 +13,10 @@ import os
 import shutil
 import threading
 import time
+from collections.abc import Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager, closing, suppress
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 
@@ -67,8 +68,8 @@ def generate(
         with open_workspace(plan, root) as workspace:
             maker = ShardMaker(plan, workspace, record)
             maker.discard_damaged()
-            make_missing(maker, workers, progress)
-            manifest = maker.merge(root)
+            with closing(made(maker, workers, progress)) as shards:
+                manifest = maker.merge(root, shards)
     progress(manifest.episodes)
     remove_workspace(plan, root)
     return manifest
@@ -98,22 +99,27 @@ def finished(plan: GenerationPlan, root: Path) -> Manifest | None:
     return manifest
 
 
-def make_missing(maker: ShardMaker, workers: int, progress: Progress) -> None:
-    """Make every shard that is not there yet; when a process dies, the shards it was making are
-    made again.
+def made(maker: ShardMaker, workers: int, progress: Progress) -> Generator[int]:
+    """Make every shard that is not there yet, and yield all in the order of the plan, each as soon
+    as it is there; when a process dies, the shards it was making are made again.
 
     Raises:
         CommandError: if processes keep dying.
     """
+    following = 0
     if workers == 1:
         missing = maker.missing()
         done = itertools.count(_done_episodes(maker.plan, missing) + 1)
-        for shard in missing:
+        for shard in range(maker.plan.shards):
             maker.make(shard, lambda: progress(next(done)))
-        return None
+            yield shard
+        return
     for _ in range(STARTS):
         with suppress(BrokenProcessPool):
-            return _run_pool(maker, workers, progress)
+            for shard in _run_pool(maker, workers, progress, following):
+                following = shard + 1
+                yield shard
+            return
     raise CommandError(
         f"worker processes died {STARTS} times with {len(maker.missing())} shards to go; fewer "
         f"workers need less memory"
@@ -124,7 +130,8 @@ def _done_episodes(plan: GenerationPlan, missing: list[int]) -> int:
     return plan.episodes - sum(len(plan.slots(shard)) for shard in missing)
 
 
-def _run_pool(maker: ShardMaker, workers: int, progress: Progress) -> None:
+def _run_pool(maker: ShardMaker, workers: int, progress: Progress, following: int) -> Iterator[int]:
+    """Make the missing shards in processes; yield those from number ``following`` on."""
     # Forked copies of a process that holds threads or a GPU hang; new ones do not.
     context = multiprocessing.get_context("spawn")
     missing = maker.missing()
@@ -135,11 +142,13 @@ def _run_pool(maker: ShardMaker, workers: int, progress: Progress) -> None:
     ) as pool:
         pending = {pool.submit(maker.make, shard, _count) for shard in missing}
         try:
-            while pending:
-                done, pending = wait(pending, POLL_S, FIRST_COMPLETED)
-                progress(counter.value)
-                for future in done:
-                    future.result()
+            for shard in range(following, maker.plan.shards):
+                while pending and not maker.path(shard).is_dir():
+                    done, pending = wait(pending, POLL_S, FIRST_COMPLETED)
+                    progress(counter.value)
+                    for future in done:
+                        future.result()
+                yield shard
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise

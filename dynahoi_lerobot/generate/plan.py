@@ -9,7 +9,7 @@ import json
 import logging
 import shutil
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from dynahoi_lerobot.core.features import privileged_features
 from dynahoi_lerobot.core.files import new_folder
 from dynahoi_lerobot.core.reading import ReadError
 from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
-from dynahoi_lerobot.dataset.merge import merge
+from dynahoi_lerobot.dataset.merge import merge_in_turn
 from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.dataset.quality_control import trajectory_problems
 from dynahoi_lerobot.dataset.video import Encoding
@@ -229,15 +229,21 @@ class ShardMaker:
             )
         return list(problems)
 
-    def merge(self, root: Path) -> Manifest:
-        """Merge the shards, in the order of the plan, into the dataset ``root``."""
-        sources, whole = (
-            [self.path(shard) for shard in range(self.plan.shards)],
-            self.folder / "merged",
-        )
+    def merge(self, root: Path, shards: Iterable[int] | None = None) -> Manifest:
+        """Merge the shards, in the order of the plan, into the dataset ``root``.
+
+        ``shards`` yields each of them when it is there; by default all are.
+        """
+        made = range(self.plan.shards) if shards is None else shards
+        whole = self.folder / "merged"
         shutil.rmtree(
             whole, ignore_errors=True
         )  # of a process that was killed before it renamed it
-        manifest = merge(sources, whole, limits=self.plan.limits, provenance=self.plan.identity())
+        manifest = merge_in_turn(
+            (self.path(shard) for shard in made),
+            whole,
+            limits=self.plan.limits,
+            provenance=self.plan.identity(),
+        )
         whole.rename(root)
         return manifest

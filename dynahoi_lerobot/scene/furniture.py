@@ -7,6 +7,7 @@ A box around everything that matters - the target's path, the hand's home, the s
 
 from collections.abc import Sequence
 from dataclasses import replace
+from operator import gt, lt
 
 import numpy as np
 
@@ -132,7 +133,7 @@ def _place_pieces(
 def _apart(one: Sequence[Sequence[float]], other: Sequence[Sequence[float]]) -> bool:
     """Whether two boxes, (2, 3) lower and upper corner, do not even touch."""
     (low, high), (other_low, other_high) = one, other
-    return any(low[axis] > other_high[axis] or high[axis] < other_low[axis] for axis in range(3))
+    return any(map(gt, low, other_high)) or any(map(lt, high, other_low))
 
 
 def _place(

@@ -25,7 +25,7 @@ class Detector:
         sensor: of the view of the hand's camera; its numbers are a direction, a log depth and the
             log scales of two errors.
         size: N.
-        pose: of the camera, (7,), see `camera_pose`.
+        pose: of the camera, (7,), see `Pinhole`.
         intrinsics: of the camera, (4,) [px].
     """
 

@@ -48,10 +48,8 @@ def prepared(path: Path) -> tuple[list[list[str]], str, list[list[str]]]:
 
 @pytest.mark.parametrize("path", recipes("generate", "eye"), ids=lambda path: path.stem)
 def test_a_recipe_of_training_data_is_read(path: Path):
-    if path.parent.name == "eye":
-        recipe = read_recipe(path).episodes
-    else:
-        recipe = load_recording(path).recipe
+    is_eye = path.parent.name == "eye"
+    recipe = read_recipe(path).episodes if is_eye else load_recording(path).recipe
     assert recipe.split == "train"
 
 

@@ -28,6 +28,11 @@ def test_the_worked_example_works_as_written(tmp_path: Path):
     path = "dynahoi_lerobot/motions/spiral.py"
     assert f"`{path}`" in EXAMPLE.text
     (tmp_path / path).write_text(source)
+    package = tmp_path / path.replace("spiral", "__init__")
+    assert f"`{package.relative_to(tmp_path)}`" in EXAMPLE.text
+    package.write_text(
+        package.read_text().replace("    straight_line,", "    spiral,\n    straight_line,")
+    )
     commands = [words for words in EXAMPLE.commands if Path(path).stem in " ".join(words)]
     assert [program for program, *_ in commands] == ["dynahoi", "pytest", "dynahoi", "dynahoi"]
     python(
@@ -40,4 +45,4 @@ def test_the_worked_example_works_as_written(tmp_path: Path):
     assert re.search(r"[1-9]\d* passed", said)
     assert (tmp_path / "spiral.gif").read_bytes()[:4] == b"GIF8"
     for check in (["check"], ["format", "--check"]):
-        python("-m", "ruff", *check, path, cwd=tmp_path)
+        python("-m", "ruff", *check, str(Path(path).parent), cwd=tmp_path)

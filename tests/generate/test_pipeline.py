@@ -13,6 +13,7 @@ import pytest
 from dynahoi_lerobot.core.arguments import CommandError
 from dynahoi_lerobot.core.reading import ReadError
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
+from dynahoi_lerobot.dataset.writer import DatasetWriter
 from dynahoi_lerobot.generate import pipeline
 from dynahoi_lerobot.generate.pipeline import generate, open_workspace, workspace_path
 from dynahoi_lerobot.generate.plan import GenerationPlan, ShardMaker
@@ -60,6 +61,21 @@ def test_any_shard_size_gives_the_same_tables_and_videos_and_progress_counts_epi
     assert {name for name in one if one[name] != other[name]} == {"README.md"}, (
         "which shows the plan"
     )
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_shard_is_merged_before_all_are_made(workers, reference, tmp_path, monkeypatch):
+    made: list[int] = []
+    copy = DatasetWriter.copy
+
+    def copy_and_look(*args):
+        made.append(len(list(workspace_path(tmp_path / "d").glob("shard-*"))))
+        copy(*args)
+
+    monkeypatch.setattr(DatasetWriter, "copy", copy_and_look)
+    generate(plan(), tmp_path / "d", record=recorder.record_slowly, workers=workers)
+    assert made[0] < made[-1] == plan().shards
+    assert same(reference, tmp_path / "d")
 
 
 def test_missed_slots_are_drawn_again(tmp_path):

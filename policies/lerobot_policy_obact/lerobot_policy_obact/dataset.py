@@ -40,7 +40,7 @@ CLOSED_QUANTILE = 0.6
 of them."""
 
 
-def table_columns(meta: Any, folder: str, wanted: Iterable[str]) -> dict[str, list[Any]]:
+def columns_of(meta: Any, folder: str, wanted: Iterable[str]) -> dict[str, list[Any]]:
     """Return those of the ``wanted`` columns that the table in a folder's files has, in the order
     of episodes and their frames; nothing if the dataset has no such table.
     """
@@ -48,8 +48,8 @@ def table_columns(meta: Any, folder: str, wanted: Iterable[str]) -> dict[str, li
         return {}
     held = pq.ParquetDataset(meta.root / folder).schema.names
     order = [key for key in ("episode_index", "frame_index") if key in held]
-    names = [name for name in wanted if name in held]
-    table = pq.read_table(meta.root / folder, columns=[*{*order, *names}])
+    names = sorted({*wanted, *order} & {*held})
+    table = pq.read_table(meta.root / folder, columns=names)
     table = table.sort_by([(key, "ascending") for key in order])
     return {name: table[name].to_pylist() for name in names}
 
@@ -78,18 +78,19 @@ def rules_of(meta: Any) -> dict[str, Any]:
 
 def embodiment_of(meta: Any, cameras: list[str]) -> Embodiment:
     """Return what a dataset says of its clock, its cameras, its hand and its targets."""
-    views, calibration = {key: key.split(".")[-1] for key in cameras}, {}
-    of_cameras = [
+    views = {key: key.split(".")[-1] for key in cameras}
+    of_cameras = {
         name.format(view) for view in views.values() for name in (CAMERA_POSE, CAMERA_INTRINSICS)
-    ]
-    constants = table_columns(meta, CONSTANTS, [*of_cameras, HAND_LIMITS, TARGET_PATH])
-    captures = table_columns(meta, EPISODES, [CAPTURE]).get(CAPTURE)
+    }
+    constants = columns_of(meta, CONSTANTS, of_cameras | {HAND_LIMITS, TARGET_PATH})
+    captures = columns_of(meta, EPISODES, {CAPTURE}).get(CAPTURE)
     if captures and not constants:
         logging.warning(
-            "%s is gone, which LeRobot's tools drop when they edit a dataset: only actions are "
-            "learned",
+            "%s is gone, which LeRobot's tools drop when they edit a dataset: the closed loop is "
+            "off, and only actions are learned",
             meta.root / CONSTANTS,
         )
+    calibration = {}
     for key, view in views.items():
         if CAMERA_POSE.format(view) in constants:
             pose = constants[CAMERA_POSE.format(view)][0]
@@ -99,7 +100,7 @@ def embodiment_of(meta: Any, cameras: list[str]) -> Embodiment:
     # with the palm's displacement as action (control mode grasp), the teachers' answers would be of
     # another kind
     absolute = meta.features[ACTION]["shape"] == meta.features.get(OBS_STATE, {}).get("shape")
-    capture = captures[0] if captures and TARGET_PATH in constants and absolute else ""
+    capture = captures[0] or "" if captures and TARGET_PATH in constants and absolute else ""
     if capture == CONTACT:
         logging.warning("targets must be gripped: only actions are learned")
         capture = ""
@@ -126,32 +127,29 @@ class TargetTable:
 
     @classmethod
     def of(cls, meta: Any, embodiment: Embodiment) -> TargetTable:
-        """Return that of the dataset of LeRobot's metadata, which has the target's path.
-
-        Raises:
-            ValueError: if its privileged tables are of other episodes.
-        """
-        episodes = table_columns(meta, EPISODES, ["length", WINDOW])
-        count = torch.tensor(episodes["length"])
-        truth = table_columns(meta, TRUTH, [LOCALIZED, "episode_index"])
+        """Return that of the dataset of LeRobot's metadata, which has the target's path."""
+        table = columns_of(meta, EPISODES, {"length", WINDOW})
+        constants = columns_of(meta, CONSTANTS, {TARGET_PATH, OPEN_JOINTS, CLOSED_JOINTS})
+        truth = columns_of(meta, TRUTH, {LOCALIZED})
+        count = torch.tensor(table["length"])
         if not np.array_equal(np.bincount(truth["episode_index"]), count):
             raise ValueError(
                 f"{meta.root / TRUTH} is of other episodes than {meta.root / EPISODES}: another "
                 "tool has edited the dataset; `dynahoi verify` says what is left of it"
             )
-        constants = table_columns(meta, CONSTANTS, [TARGET_PATH, OPEN_JOINTS, CLOSED_JOINTS])
-        paths = [_tensor(path) for path in constants[TARGET_PATH]]
-        caught = torch.tensor(truth[LOCALIZED]).split(count.tolist())
+        paths = [torch.tensor(np.array(path, np.float32)) for path in constants[TARGET_PATH]]
+        flags = torch.tensor(truth[LOCALIZED]).split(count.tolist())
+        free = [int((~held).cumprod(0).sum()) for held in flags]
         open_joints, closed_joints = (
-            _tensor(constants[name]).quantile(CLOSED_QUANTILE, dim=0)
+            torch.tensor(constants[name], dtype=torch.float32).quantile(CLOSED_QUANTILE, dim=0)
             for name in (OPEN_JOINTS, CLOSED_JOINTS)
         )
         hand = embodiment.fps, embodiment.step_m, open_joints, closed_joints
         return cls(
             torch.nn.utils.rnn.pad_sequence(paths, batch_first=True),
             torch.tensor([len(path) for path in paths]),
-            torch.tensor([int((~held.flatten()).cumprod(0).sum()) for held in caught]),
-            torch.tensor([frames or 0 for frames in episodes[WINDOW]], dtype=torch.long),
+            torch.tensor(free),
+            torch.tensor([frames or 0 for frames in table[WINDOW]], dtype=torch.long),
             count.cumsum(0) - count,
             Teacher(*hand, radius_m=embodiment.radius_m),
         )
@@ -169,8 +167,3 @@ class TargetTable:
         path, free = self.path[episode[:, None], inside], self.free[episode]
         targets = Targets(path, length - first, free - first)
         return targets, self.begin[episode] - first
-
-
-def _tensor(rows: list[Any]) -> Tensor:
-    """Return rows of numbers as (n, D) float32."""
-    return torch.from_numpy(np.array(rows, np.float32)).reshape(len(rows), -1)

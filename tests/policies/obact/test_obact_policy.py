@@ -11,7 +11,6 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 import torch
 from accelerate.state import AcceleratorState
@@ -21,7 +20,7 @@ from lerobot.async_inference.helpers import RemotePolicyConfig, TimedObservation
 from lerobot.async_inference.policy_server import PolicyServer
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
-from lerobot.datasets.dataset_tools import modify_features
+from lerobot.datasets.dataset_tools import merge_datasets, modify_features
 from lerobot.datasets.factory import resolve_delta_timestamps
 from lerobot.policies import make_pre_post_processors
 from lerobot.policies.rtc import RTCConfig
@@ -40,7 +39,7 @@ from dynahoi_lerobot.dataset import episode_column
 from dynahoi_lerobot.encode import encode
 from tests.checkpoints import FEATURES, SMALL_GR00T
 from tests.checkpoints import SHIPPED as SHIPPED_POLICY
-from tests.tools import edit_json, generated, python
+from tests.tools import generated, python
 
 N_EPISODES, N_FRAMES, FPS, SIZE = 2, 30, 10, 48
 TINY = {
@@ -279,33 +278,13 @@ def test_images_are_not_decoded_for_frames_to_come(image_root):
         learner(image_root)
 
 
-def edited(root: Path, copy: Path) -> Path:
-    """Copy a dataset without what LeRobot's tools drop."""
-    shutil.copytree(root, copy)
-    (copy / "meta/manifest.json").unlink()
-    for name in ("privileged", "privileged_episodes"):
-        shutil.rmtree(copy / "meta" / name)
-    return copy
-
-
 def test_without_the_targets_path_the_closed_loop_is_off_and_says_so(hand_root, tmp_path, caplog):
-    root = edited(hand_root, tmp_path / "other")
+    root = shutil.copytree(hand_root, tmp_path / "other")
+    for folder in ("privileged", "privileged_episodes"):
+        shutil.rmtree(root / "meta" / folder)
     policy = learner(root)
     assert "the closed loop is off for local/tiny: it lacks the target's path" in caplog.text
     assert set(policy(batch_of(policy, root))[1]) == {"action"}
-    assert policy.config.rules == {}
-    assert policy.config.embodiment == Embodiment(fps=20.0)
-
-
-def test_privileged_tables_of_other_episodes_and_other_schemas_are_refused(hand_root, tmp_path):
-    root = shutil.copytree(hand_root, tmp_path / "d")
-    (file,) = (root / dataset.TRUTH).glob("*/*.parquet")
-    pq.write_table(pq.read_table(file).slice(20), file)
-    with pytest.raises(ValueError, match="of other episodes"):
-        learner(root)
-    edit_json(root / "meta/manifest.json", lambda content: content.update(schema=0))
-    with pytest.raises(ValueError, match=r"schema 0.* reads schema 1"):
-        learner(root)
 
 
 def test_the_closed_loop_counts_once_it_has_imitated(hand_root):
@@ -625,3 +604,13 @@ def test_what_learned_from_the_targets_path_is_not_trained_where_there_is_none(
         ValueError, match="ours learned from the target's path, which local/other lacks"
     ):
         ObActPolicy(config, dataset_meta=meta)
+
+
+def test_where_lerobot_has_merged_only_actions_are_learned(hand_root: Path, tmp_path: Path, caplog):
+    root = tmp_path / "merged"
+    sources = [LeRobotDataset("local/x", root=hand_root), LeRobotDataset("local/y", root=hand_root)]
+    merge_datasets(sources, "local/merged", root)
+    meta = LeRobotDatasetMetadata("local/merged", root=root)
+    found = dataset.embodiment_of(meta, ["observation.images.ego"])
+    assert found.capture == ""
+    assert "only actions are learned" in caplog.text
