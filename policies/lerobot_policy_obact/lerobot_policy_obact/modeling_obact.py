@@ -120,8 +120,8 @@ class ObActPolicy(PreTrainedPolicy):
         from .dataset import TargetTable, embodiment_of, rules_of
 
         config = self.config
-        knew, config.embodiment = config.forecasts, embodiment_of(meta, config.cameras)
         config.rules = rules_of(meta)
+        knew, config.embodiment = config.forecasts, embodiment_of(meta, config.cameras)
         if config.pretrained_path and knew and not config.forecasts:
             raise ValueError(
                 f"{config.pretrained_path} learned from the target's path, which "
