@@ -146,7 +146,13 @@ def fitted(rows: list[Row], width: int) -> str:
         words = [str(row[key]) for key in columns if key not in sentences and row[key]]
         lines.append(f"{row[name]}: {', '.join(words)}" if words else str(row[name]))
         for key in sentences:
-            lines += textwrap.wrap(row[key], width, initial_indent=INDENT, subsequent_indent=INDENT)
+            lines += textwrap.wrap(
+                row[key],
+                width,
+                initial_indent=INDENT,
+                subsequent_indent=INDENT,
+                break_on_hyphens=False,
+            )
     return "\n".join(lines)
 
 
