@@ -160,7 +160,7 @@ def search(args: argparse.Namespace, specs: Sequence[EpisodeSpec]) -> dict[str, 
 def search_paths(
     specs: Sequence[EpisodeSpec], clusters: int, speed_m_s: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return (C, 3) the centres of clusters of homes [m], world, and (C, K, 3) the path found for
+    """Return (C, 3) the centers of clusters of homes [m], world, and (C, K, 3) the path found for
     each.
     """
     targets, homes_w = relative_paths(specs, FRAMES), homes_of(specs)

@@ -183,7 +183,7 @@ def _last(episode: Episode) -> int:
 
 
 def _nearest(episode: Episode) -> tuple[int, float]:
-    """Return the frame of the first localisation, else of the closest approach, and the distance
+    """Return the frame of the first localization, else of the closest approach, and the distance
     [m] there.
     """
     start = episode.meta.window_frames
@@ -192,7 +192,7 @@ def _nearest(episode: Episode) -> tuple[int, float]:
 
 
 def _bordered(episode: Episode) -> np.ndarray:
-    """Return (T, H, W, 3), the hand camera's images with a border in the colour of each frame's
+    """Return (T, H, W, 3), the hand camera's images with a border in the color of each frame's
     phase.
     """
     images = episode.images[EGO_VIEW]

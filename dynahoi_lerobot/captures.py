@@ -1,7 +1,7 @@
 """Capture rules: an event within a control step, what it does to the target, and what counts as a
 catch.
 
-``attach`` is the paper's rule: a target within the localisation radius is welded to the hand; the
+``attach`` is the paper's rule: a target within the localization radius is welded to the hand; the
 grasp is a matter of pose. ``attach_lenient`` is the track on which the paper evaluates
 vision-language models, with a threshold of 1.0 u. ``contact`` is ours, the physical rule: nothing
 is ever attached; a catch is what friction and the fingers hold while the hand moves.
@@ -37,7 +37,7 @@ NO_EVENT = -1
 HELD_FRAMES = CONTROL_HZ // 2
 """A grip counts once it has lasted half a second."""
 HELD_RADIUS_M = 0.05
-"""The target's centre stays this close to the palm centre."""
+"""The target's center stays this close to the palm center."""
 HELD_TRAVEL_M = 0.05
 """The palm moves this far meanwhile, or whatever rests on a still hand would be held."""
 SLIPPED_FRAMES = 3
@@ -55,8 +55,8 @@ class Track:
         reference_joints: (15,) joint angles of the reference grasp [rad].
         localized: (T,) bool.
         contacts: of shape (T,), what touched the target; zero if the rule uses no contact sensors.
-        palm_distance_m: (T,) palm centre to target centre [m].
-        palm_pos_h: (T, 3) palm centre [m], home frame.
+        palm_distance_m: (T,) palm center to target center [m].
+        palm_pos_h: (T, 3) palm center [m], home frame.
     """
 
     joints: np.ndarray
@@ -91,7 +91,7 @@ class CaptureRule(ABC):
     hand: ClassVar[str]
     """The hand that plays under it, likewise."""
     localization_radius_m: ClassVar[float] = LOCALIZATION_RADIUS_M
-    """Palm centre to target centre, below which the target is localised [m]; all metrics follow
+    """Palm center to target center, below which the target is localized [m]; all metrics follow
     it."""
     gantry_speed_m_s: ClassVar[float | None] = None
     """Speed limit of each axis of the palm's gantry [m/s], where the rule replaces that of the
@@ -101,7 +101,7 @@ class CaptureRule(ABC):
     hold_frames: ClassVar[int] = 0
     """Frames that every episode has left after the intercept, at least."""
     settle_frames: ClassVar[int] = 10
-    """Frames after the first localisation in which the verdict falls; then an evaluated episode may
+    """Frames after the first localization in which the verdict falls; then an evaluated episode may
     end."""
 
     @classmethod
@@ -126,7 +126,7 @@ class CaptureRule(ABC):
 
         Args:
             acting: (n,) bool, the control phase has begun.
-            palm_distance_m: (n, 25) palm centre to target centre [m].
+            palm_distance_m: (n, 25) palm center to target center [m].
             contacts: of shape (n, 25), what touches the target; None if the rule uses no contact
                 sensors.
         """
@@ -154,7 +154,7 @@ class CaptureRule(ABC):
 
 @CAPTURES.register("attach")
 class Attach(CaptureRule):
-    """Localised means within 3 cm; captured means localised with all joints at 0.9 to 1.2 of the
+    """Localized means within 3 cm; captured means localized with all joints at 0.9 to 1.2 of the
     reference grasp.
 
     Hand and target do not collide. Within the 25 physics steps of a frame the weld happens at the
@@ -174,13 +174,13 @@ class Attach(CaptureRule):
     def events(
         self, acting: np.ndarray, palm_distance_m: np.ndarray, contacts: TargetContacts | None
     ) -> np.ndarray:
-        """Return the closest physics step where it is within the localisation radius."""
+        """Return the closest physics step where it is within the localization radius."""
         closest = palm_distance_m.argmin(axis=1)
         inside = palm_distance_m.min(axis=1) < self.localization_radius_m
         return np.where(inside & acting, closest, NO_EVENT)
 
     def captured(self, track: Track) -> np.ndarray:
-        """Return (T,) bool: localised, and the pose matched at the first localised frame."""
+        """Return (T,) bool: localized, and the pose matched at the first localized frame."""
         return track.localized & self.success(track)
 
     def stage(self, track: Track) -> str:
@@ -190,7 +190,7 @@ class Attach(CaptureRule):
         return "captured" if self.success(track) else "localized"
 
     def success(self, track: Track) -> bool:
-        """Return whether the pose matched at the first localised frame."""
+        """Return whether the pose matched at the first localized frame."""
         if not track.localized.any():
             return False
         joints = track.joints[track.localized.argmax()]
@@ -199,10 +199,10 @@ class Attach(CaptureRule):
 
 @CAPTURES.register("attach_lenient")
 class AttachLenient(Attach):
-    """Localised means within 10 cm; weld, grasp check and R_time use the same threshold (S_loc* of
+    """Localized means within 10 cm; weld, grasp check and R_time use the same threshold (S_loc* of
     the paper).
 
-    Appendix "Evaluation Criteria" relaxes the threshold of localisation, and attaches the target
+    Appendix "Evaluation Criteria" relaxes the threshold of localization, and attaches the target
     "once the hand-object distance meets the localization criterion".
     """
 
@@ -275,7 +275,7 @@ class Contact(CaptureRule):
 
 
 def gripped(track: Track) -> np.ndarray:
-    """Return (T,) bool: between thumb and another finger, or finger and palm, near the palm centre,
+    """Return (T,) bool: between thumb and another finger, or finger and palm, near the palm center,
     off all else.
     """
     fingers, palm = track.contacts.finger_force_n > 0, track.contacts.palm_force_n > 0

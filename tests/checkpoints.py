@@ -44,7 +44,7 @@ def saved(
     config: PreTrainedConfig, folder: Path, stats: dict[str, dict[str, torch.Tensor]] | None = None
 ) -> Path:
     """Write a checkpoint with random weights, none of them zero, and statistics of its
-    normalisers.
+    normalizers.
     """
     torch.manual_seed(0)
     policy = get_policy_class(config.type)(config)

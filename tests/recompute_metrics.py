@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 
 UNIT_M = 0.1
 RADIUS_M = {"attach": 0.03, "attach_lenient": 0.1, "contact": 0.03}
-"""Palm centre to object centre, below which the object is localised, by capture rule."""
+"""Palm center to object center, below which the object is localized, by capture rule."""
 GRASP_SHARE = 0.9
 REST_M = 1e-6
 """Steps of the palm up to this length are jitter of a servo that holds still."""
@@ -30,7 +30,7 @@ def metrics(root: Path) -> pd.DataFrame:
     """Return S_loc, S_gra, E_loc, E_gra, Q_smooth, Q_line and R_time of each episode, indexed by
     ``episode_index``.
 
-    S_gra is NaN where the target was never localised, and under the capture rule contact. E_loc
+    S_gra is NaN where the target was never localized, and under the capture rule contact. E_loc
     and E_gra are in u (0.1 m).
     """
     rows = {

@@ -104,7 +104,7 @@ def test_a_welded_target_moves_with_the_hand_as_it_lies(specs: list[EpisodeSpec]
 
 
 def test_a_welded_target_leaves_its_string_and_its_table(specs: list[EpisodeSpec]):
-    """A pendulum, a rolling and a struck target follow the hand upwards for half a metre."""
+    """A pendulum, a rolling and a struck target follow the hand upwards for half a meter."""
     chosen = [
         next(s for s in specs if s.motion.name == kind) for kind in ("planar", "ramp", "struck")
     ]
@@ -207,7 +207,7 @@ def constant() -> EpisodeSpec:
 def flying(
     spec: EpisodeSpec, speed_m_s: float, kind: str = "ball", seed: int = 0, friction: float = 0.8
 ) -> EpisodeSpec:
-    """The episode with an object that comes straight at the waiting palm and would be at its centre
+    """The episode with an object that comes straight at the waiting palm and would be at its center
     after 0.5 s.
     """
     motion = Constant(tuple(HOME_W), (-1.0, 0.0, 0.0), 0.5, speed_m_s, 0.0)

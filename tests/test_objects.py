@@ -86,7 +86,7 @@ def test_the_origin_is_its_centre_of_mass(name: str):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_inertia_is_what_mujoco_computes_from_its_solids(name: str):
-    """Both count what solids share twice. MuJoCo's is about the centre of mass and is shifted here
+    """Both count what solids share twice. MuJoCo's is about the center of mass and is shifted here
     to the origin.
     """
     for target in draws(name, 5):

@@ -125,7 +125,7 @@ def _within_a_step(
 
 def _meets(start: np.ndarray, moves: np.ndarray) -> np.ndarray:
     """(...) bool: whether straight relative moves (..., 3) from (..., 3) come within the
-    localisation radius of 0.
+    localization radius of 0.
     """
     length = np.maximum((moves**2).sum(axis=-1), 1e-12)
     share = np.clip(-(start * moves).sum(axis=-1) / length, 0.0, 1.0)
@@ -148,7 +148,7 @@ def homes_of(specs: Sequence[EpisodeSpec]) -> np.ndarray:
 
 
 def cluster(homes_w: np.ndarray, count: int) -> np.ndarray:
-    """Return (count, 3) the centres of ``count`` clusters of homes (N, 3) [m], world, by Lloyd's
+    """Return (count, 3) the centers of ``count`` clusters of homes (N, 3) [m], world, by Lloyd's
     algorithm.
     """
     centres = homes_w[np.random.default_rng(0).choice(len(homes_w), count, replace=False)]
@@ -161,19 +161,19 @@ def cluster(homes_w: np.ndarray, count: int) -> np.ndarray:
 
 
 def nearest(homes_w: np.ndarray, centres: np.ndarray) -> np.ndarray:
-    """Return (N,) the index of the centre (C, 3) nearest to each home (N, 3)."""
+    """Return (N,) the index of the center (C, 3) nearest to each home (N, 3)."""
     return np.linalg.norm(homes_w[:, None] - centres, axis=2).argmin(axis=1)
 
 
 def hits_by_cluster(
     homes_w: np.ndarray, targets: np.ndarray, table: tuple[np.ndarray, np.ndarray]
 ) -> np.ndarray:
-    """Return (N,) bool: the targets (N, F + 1, 3) that the path of the nearest centre meets.
+    """Return (N,) bool: the targets (N, F + 1, 3) that the path of the nearest center meets.
 
     Args:
         homes_w: (N, 3) [m], world.
         targets: as ``relative_paths`` returns them.
-        table: (C, 3) centres [m], world, and (C, K, 3) their paths.
+        table: (C, 3) centers [m], world, and (C, K, 3) their paths.
     """
     centres, paths = table
     met, labels = np.zeros(len(homes_w), bool), nearest(homes_w, centres)

@@ -25,7 +25,7 @@ class Observation:
     Attributes:
         images: (N, H, W, 3) uint8 RGB by view, ``ego`` (the hand's camera) first; empty if nothing
             was rendered.
-        state: (N, 18) float32, palm centre position [m], home frame, and joint angles [rad].
+        state: (N, 18) float32, palm center position [m], home frame, and joint angles [rad].
         phase: (N, 2) float32, [1, 0] observing, [0, 1] acting.
         tasks: N instructions.
         touch: (N, 5) float32 force of each finger on the target [N], None unless the capture rule
@@ -58,9 +58,9 @@ class WorldState:
         attempt: (N,) int, 1 for the first try at an episode.
         target_pose_h: (N, 7) position [m], home frame, and quaternion wxyz.
         target_velocity_w: (N, 6) linear [m/s] and angular [rad/s], along the world's axes.
-        localized: (N,) bool, the target has been localised in the control phase.
+        localized: (N,) bool, the target has been localized in the control phase.
         control: the limits of the hand and the latency of its commands.
-        localization_radius_m: palm centre to target centre, below which the target is localised
+        localization_radius_m: palm center to target center, below which the target is localized
             [m].
         state_when_due: (N, 18) where undisturbed hands will be when a command given now takes
             effect: [m], home frame, and [rad].
@@ -85,16 +85,16 @@ class WorldView:
 
     Attributes:
         spec: the episode.
-        state: (18,) where the hand will be when a command given now takes effect: palm centre [m],
+        state: (18,) where the hand will be when a command given now takes effect: palm center [m],
             world, and joint angles [rad].
         frame: of the episode, now.
         due_frame: the frame at which the command takes effect; in the observation window, the first
             that does.
         target_pos_w: (3,) position of the target now [m], world.
         target_velocity_w: (3,) its linear velocity now [m/s], world.
-        localized: the target has been localised.
+        localized: the target has been localized.
         control: limits of the hand, and latency.
-        localization_radius_m: palm centre to target centre, below which the target is localised
+        localization_radius_m: palm center to target center, below which the target is localized
             [m].
     """
 
@@ -130,7 +130,7 @@ class Meeting:
     """Where and when a hand is going to meet its target.
 
     Attributes:
-        palm_pos_w: (3,) the palm centre then [m], world.
+        palm_pos_w: (3,) the palm center then [m], world.
         frame: of the episode.
     """
 
@@ -278,14 +278,14 @@ class Expert(Actor):
         return self.act(world_state(observation))
 
     def command(self, world: WorldView) -> np.ndarray:
-        """Return (18,) the command of one world: palm centre [m], world, and joint angles [rad]."""
+        """Return (18,) the command of one world: palm center [m], world, and joint angles [rad]."""
         raise NotImplementedError(f"{self.name!r} defines neither command nor act")
 
     def goal(self, world: WorldView) -> np.ndarray:
         """Return (18,) where the hand of one world should get to, and how far closed it should be
         now.
 
-        Palm centre [m], world, which may lie beyond the reach of one frame, and joint angles [rad].
+        Palm center [m], world, which may lie beyond the reach of one frame, and joint angles [rad].
         In the observation window it is what the expert would command were control active; after
         the catch it holds still.
         """

@@ -2,7 +2,7 @@
 
 SI units, z up, quaternions wxyz, angles in radians. Positions end in ``_w`` in the world frame, in
 which episodes are drawn and simulated, and in ``_h`` in the home frame, in which they are played
-and recorded: axes of the world, origin where the palm's centre waits in this episode.
+and recorded: axes of the world, origin where the palm's center waits in this episode.
 """
 
 import math
@@ -35,7 +35,7 @@ UNIT_M = 0.1
 """One world unit (u) of the paper [m]."""
 
 LOCALIZATION_RADIUS_M = 0.3 * UNIT_M
-"""Palm centre to object centre, below which the target is localised [m] (Appendix "Evaluation
+"""Palm center to object center, below which the target is localized [m] (Appendix "Evaluation
 Criteria")."""
 
 LENIENT_RADIUS_M = 1.0 * UNIT_M
@@ -58,7 +58,7 @@ EGO_VIEW = "ego"
 """The view of the camera that is fixed to the hand; the camera in the model has the same name."""
 
 DEPTH, SEGMENTATION = "_depth", "_segmentation"
-"""How the names of views end whose colours are measurements."""
+"""How the names of views end whose colors are measurements."""
 
 DEFAULT_IMAGE_SIZE_PX = 128
 """Side of the square images where nothing is said [px]."""
@@ -88,7 +88,7 @@ MIN_WINDOW_FRAMES = 8
 """The observation window is the first 20 % of the frames, at least this many."""
 
 GANTRY_RANGE_M = ((-2.0, 2.0), (-2.0, 2.0), (0.02, 2.5))
-"""Reach of the palm centre along each axis [m], world."""
+"""Reach of the palm center along each axis [m], world."""
 
 GANTRY_SPEED_M_S = 2.0
 """Greatest speed of each slide that carries the palm where hand and target collide [m/s]."""

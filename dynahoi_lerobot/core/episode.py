@@ -144,7 +144,7 @@ class Episode:
 
     @property
     def palm_pos_h(self) -> np.ndarray:
-        """(T, 3) palm centre positions [m], home frame."""
+        """(T, 3) palm center positions [m], home frame."""
         return self.state[:, :PALM_DOF]
 
     @property
@@ -186,7 +186,7 @@ class Episode:
 
     @property
     def first_localized(self) -> int | None:
-        """The first localised frame of the control phase, or None (Section 5, "task
+        """The first localized frame of the control phase, or None (Section 5, "task
         completion").
         """
         hits = np.flatnonzero(self.localized[self.control])
@@ -236,8 +236,8 @@ def closure(joints: np.ndarray, open_joints: np.ndarray, reference: np.ndarray) 
 
 
 def potential(distance_m: np.ndarray, closed: np.ndarray) -> np.ndarray:
-    """Return how promising a state is: ``-d + c exp(-d)``, with d the distance from palm centre to
-    target centre in units of 0.1 m, and c the `closure`.
+    """Return how promising a state is: ``-d + c exp(-d)``, with d the distance from palm center to
+    target center in units of 0.1 m, and c the `closure`.
 
     The first term draws the palm to the target, the second, 0 to 1, closes the hand near it: a
     grasp of 0.8 is worth more than one of 0.7, although only 0.9 is a success.

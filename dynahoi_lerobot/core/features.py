@@ -1,7 +1,7 @@
 """The one feature table: every array of an episode, and what it is called in each interface.
 
 Positions are in the home frame: axes of the world (z up, the open palm faces +x), origin where the
-palm's centre waits in this episode. Rotations and velocities are along the same axes.
+palm's center waits in this episode. Rotations and velocities are along the same axes.
 
 From ``FEATURES`` are derived the Gymnasium spaces (`env/vector_env.py`), the features of
 ``--env.type=dynahoi``, what a rollout records (`rollout/recorder.py`), the dataset's columns and
@@ -109,9 +109,9 @@ class Feature:
 
     @property
     def measures(self) -> bool:
-        """Whether it is images whose colours are measurements, which no video may change: with the
+        """Whether it is images whose colors are measurements, which no video may change: with the
         default settings, h264 moves depth by up to 34 cm and gives 11 % of the target's pixels the
-        colour of something else (22 episodes, 96 px).
+        color of something else (22 episodes, 96 px).
         """
         return self.is_image and self.key.endswith((DEPTH, SEGMENTATION))
 
@@ -157,7 +157,7 @@ _TABLE = (
         (HAND_DOF,),
         COMMAND_NAMES,
         "m, rad",
-        "palm centre position, home frame; joint angles",
+        "palm center position, home frame; joint angles",
         gym_key="agent_pos",
         low=-10.0,
         high=10.0,
@@ -230,7 +230,7 @@ _TABLE = (
         (HAND_DOF,),
         COMMAND_NAMES,
         "m, rad",
-        "goal pose: palm centre position, home frame, possibly farther than the hand can move in "
+        "goal pose: palm center position, home frame, possibly farther than the hand can move in "
         "one frame, since the "
         "environment clips it; joint angles for the next frame. In datasets the expert's goal, "
         "also in the observation "
@@ -321,7 +321,7 @@ _TABLE = (
         (),
         ("localized",),
         "1",
-        "the target is or was localised",
+        "the target is or was localized",
         dtype="bool",
         privileged=True,
     ),
@@ -371,7 +371,7 @@ _TABLE = (
         (),
         ("distance",),
         "m",
-        "least distance of palm centre and target centre in the last control step",
+        "least distance of palm center and target center in the last control step",
         privileged=True,
     ),
     Feature(
@@ -421,7 +421,7 @@ _TABLE = (
         "1, m",
         "the object's solids: MuJoCo's geom type and half-sizes; position and quaternion wxyz in "
         "the object's frame, "
-        "whose origin is the centre of mass",
+        "whose origin is the center of mass",
         per="primitive",
         privileged=True,
     ),
@@ -482,7 +482,7 @@ _TABLE = (
         (7,),
         POSE_NAMES,
         "m, 1",
-        "pose of the hand's camera relative to the palm centre; it looks along -z, y is up",
+        "pose of the hand's camera relative to the palm center; it looks along -z, y is up",
         constant=True,
         privileged=True,
     ),

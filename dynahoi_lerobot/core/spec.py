@@ -24,7 +24,7 @@ class EpisodeSpec:
         split: name of the seed stream.
         motion: the target's motion with its parameters.
         target: the object to catch.
-        appearance: textures, colours and light.
+        appearance: textures, colors and light.
         task: the instruction.
         protocol: one of ``protocols.PROTOCOLS``.
         hand: registered name of the hand.
@@ -33,7 +33,7 @@ class EpisodeSpec:
             around the target.
         window_frames: length of the observation window, 0 without one.
         length_frames: L, length of the expert's recording; a policy gets L control steps.
-        home_pos_w: (3,) palm centre at the start [m].
+        home_pos_w: (3,) palm center at the start [m].
         intercept_frame: the earliest frame at which a hand of fixed speed can reach the untouched
             target.
         intercept_pos_w: (3,) position of the target at that frame [m].

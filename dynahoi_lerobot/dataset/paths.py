@@ -32,7 +32,7 @@ UNOPENABLE = ("[", "*", "?", "::")
 
 
 def check_root(root: Path) -> None:
-    """Refuse a folder that LeRobot cannot open, or opens together with its neighbours.
+    """Refuse a folder that LeRobot cannot open, or opens together with its neighbors.
 
     Raises:
         ValueError: naming the part of the path.

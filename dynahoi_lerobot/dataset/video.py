@@ -80,7 +80,7 @@ class Encoding:
         return self.codec != "images"
 
     def check_size(self, image_size: int) -> None:
-        """Refuse images of an odd size [px], whose colours a video cannot halve; ValueError naming
+        """Refuse images of an odd size [px], whose colors a video cannot halve; ValueError naming
         the size.
         """
         if self.is_video and image_size % 2:

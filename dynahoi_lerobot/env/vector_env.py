@@ -43,7 +43,7 @@ REWARDS = {
     DENSE: "the same, plus in the control phase P(s') - P(s), the change of P = c exp(-d) - d: how "
     "much closer palm and target have come, and how much better the hand is closed near the target",
 }
-"""Name: formula. ``d`` is the distance from palm centre to target centre in units of 0.1 m, and
+"""Name: formula. ``d`` is the distance from palm center to target center in units of 0.1 m, and
 ``c`` the closure, 0 to 1, see ``core.episode.potential``. This is potential-based shaping (Ng,
 Harada and Russell, 1999, gamma = 1): its sum over an episode is P(last) - P(first), which depends
 on these two states only, so it changes no policy's rank. P is at most 1, of a closed hand at the
@@ -61,14 +61,14 @@ class DynahoiVectorEnv(VectorEnv):
         frame: axes of the world, z up, origin at the palm's start.
     Observation:
         A dictionary of ``features.FEATURES`` by ``gym_key``: ``pixels``, a dictionary of (H, W, 3)
-        uint8 RGB images by view, ``ego`` (the hand's camera) first; ``agent_pos`` (18,) palm centre
+        uint8 RGB images by view, ``ego`` (the hand's camera) first; ``agent_pos`` (18,) palm center
         [m], home frame, and joint angles [rad]; ``phase`` (2,); and, if the capture rule uses
         contact sensors, ``touch`` (5,) force of each finger on the target [N]. Only on request
         ``environment_state``: the simulator's truth (13,), pose of the target [m, 1], home frame,
         and its linear and angular velocity [m/s, rad/s]; or (14,) where the eye sees it
         (`core/features.py`).
     Action:
-        (18,) float32 target for the next frame: palm centre [m], home frame, and joint angles
+        (18,) float32 target for the next frame: palm center [m], home frame, and joint angles
         [rad]. The palm's bounds are the length of the gantry's slides either way (4, 4 and 2.48 m),
         the same in every episode, so that they do not give away where on the slides the hand
         starts. Clipped to the joint ranges and to the slides, and limited to the speed of the
@@ -80,7 +80,7 @@ class DynahoiVectorEnv(VectorEnv):
         One of ``REWARDS``: 1 when the episode has become a success, else 0 (``sparse``), or
         progress towards the target and of the grasp as well (``dense``).
     Episode end:
-        Terminated when the outcome is settled, half a second (``attach``) after localisation;
+        Terminated when the outcome is settled, half a second (``attach``) after localization;
         truncated after L + 1 control steps, of which the last ignores its action and records where
         the one before led. What happens then is the autoreset mode's: the next step begins the
         world's next episode and ignores its action (``NEXT_STEP``); the same step begins it, and
@@ -239,7 +239,7 @@ class DynahoiVectorEnv(VectorEnv):
         next one instead.
 
         Args:
-            actions: (N, 18) targets for the next frame, palm centres [m], home frame, and joint
+            actions: (N, 18) targets for the next frame, palm centers [m], home frame, and joint
                 angles [rad].
 
         Raises:
@@ -519,7 +519,7 @@ class DynahoiEnv(gym.Env):
         """Advance by one frame of 0.05 s.
 
         Args:
-            action: (18,) target for the next frame, palm centre [m], home frame, and joint angles
+            action: (18,) target for the next frame, palm center [m], home frame, and joint angles
                 [rad].
 
         Raises what ``DynahoiVectorEnv.step`` raises.

@@ -110,7 +110,7 @@ LARGEST = {
 """Largest number in the config of a policy, by what its key holds: what is repeated or made larger
 for each action."""
 LARGEST_EPS = 0.01
-"""Largest number that a normaliser adds to a deviation."""
+"""Largest number that a normalizer adds to a deviation."""
 FLOATS, OTHERS = (
     ("F64", "F32", "F16", "BF16"),
     {"int64": "I64", "int32": "I32", "uint8": "U8", "bool": "BOOL"},
@@ -126,7 +126,7 @@ STATISTICS = {
     "QUANTILES": ("q01", "q99"),
     "QUANTILE10": ("q10", "q90"),
 }
-"""What a normaliser reads, by its mode."""
+"""What a normalizer reads, by its mode."""
 
 CODE_KEYS = {
     "auto_map": "has an auto_map, which names Python files to run",
@@ -260,7 +260,7 @@ def load_policy(
 
     Raises:
         PolicyError: if LeRobot cannot load it, its weights are not exactly those of its policy, or
-            a normaliser lacks statistics.
+            a normalizer lacks statistics.
     """
     from lerobot.policies.factory import get_policy_class, make_pre_post_processors
 
@@ -662,7 +662,7 @@ def _fits_type(tensor: Any, kind: str) -> bool:
 
 
 def _check_statistics(file: Path, pipeline: Any, config: Any) -> None:
-    """Refuse a pipeline that normalises a feature without its statistics, or not as the config of
+    """Refuse a pipeline that normalizes a feature without its statistics, or not as the config of
     its policy says.
     """
     normalised: dict[str, str] = {}

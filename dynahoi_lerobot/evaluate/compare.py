@@ -128,7 +128,7 @@ def command_distances_cm(a: Results, b: Results) -> np.ndarray:
     that both played.
 
     Each is a mean over the control frames that both have: an episode ends once its target is
-    localised.
+    localized.
     """
     means = []
     for i, j in _both_played(a, b):

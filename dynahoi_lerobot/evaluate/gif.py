@@ -1,4 +1,4 @@
-"""Camera frames of an episode as a GIF, with a coloured border for the phase and a caption."""
+"""Camera frames of an episode as a GIF, with a colored border for the phase and a caption."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ if TYPE_CHECKING:
     from PIL import Image
 
 BORDERS = {"observing": (128, 128, 128), "acting": (30, 30, 34), "localized": (46, 160, 67)}
-"""Border colour [RGB, 0 to 255] of each phase: grey while observing, dark while acting, green once
-localised."""
+"""Border color [RGB, 0 to 255] of each phase: gray while observing, dark while acting, green once
+localized."""
 
 BORDER_PX = 3
 CAPTION_PX = 16
 STRIP, INK = (30, 30, 34), (235, 235, 235)
 FONT, FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.38
 COLOURS, PALETTE_PAGES = 128, 8
-"""Colours of a GIF, and how many of its pages they are chosen from."""
+"""Colors of a GIF, and how many of its pages they are chosen from."""
 EPISODE_PX = 192
 """Least width of an episode's frames."""
 
@@ -54,7 +54,7 @@ def phases_of(episode: Episode) -> list[str]:
 
 def frame_phases(acting: np.ndarray, localized: np.ndarray) -> list[str]:
     """Return the T names, given (T,) bool each: it is in the control phase, the target has been
-    localised by then.
+    localized by then.
     """
     return np.where(acting, np.where(localized, "localized", "acting"), "observing").tolist()
 
@@ -138,18 +138,18 @@ def _captioned(page: np.ndarray, caption: str) -> np.ndarray:
 
 
 def _quantized(pages: Sequence[np.ndarray]) -> list[Image.Image]:
-    """Give all pages the same colours, so that what stands still does not flicker and is stored
+    """Give all pages the same colors, so that what stands still does not flicker and is stored
     once.
 
     Pillow does this. OpenCV's own GIF encoder dithers, so that still pixels change and a small
-    target loses its colour.
+    target loses its color.
     """
     from PIL import Image
 
     few = [
         pages[i] for i in np.linspace(0, len(pages) - 1, min(PALETTE_PAGES, len(pages))).astype(int)
     ]
-    octree = Image.Quantize.FASTOCTREE  # median cut would drop the colour of a small target
+    octree = Image.Quantize.FASTOCTREE  # median cut would drop the color of a small target
     learned = (
         Image.fromarray(np.vstack(few)).quantize(COLOURS - len(BORDERS), octree).getpalette() or []
     )

@@ -151,7 +151,7 @@ class PolicyAgent(Agent):
             guidance["inference_delay"] = int(delays[0])
         if executed is not None:
             self._prepare_guidance()
-            # the normalised actions that are not executed yet; of a chunk that is over, where it
+            # the normalized actions that are not executed yet; of a chunk that is over, where it
             # led
             past = min(int(executed[0]), self._chunk.shape[1] - 1)
             guidance["prev_chunk_left_over"] = self._chunk[:, past:]  # (N, n, 18)

@@ -15,7 +15,7 @@ from dynahoi_lerobot.experts.intercept import EXTRAPOLATED_FRAMES, approach, mee
 from dynahoi_lerobot.hands import HANDS
 
 Command = Callable[[WorldView], np.ndarray]
-"""Returns (18,) the command of one world: palm centre [m], world, and joint angles [rad]."""
+"""Returns (18,) the command of one world: palm center [m], world, and joint angles [rad]."""
 PATH_FILES = {
     "standard": "blind_path.csv",
     "late": "blind_path.csv",

@@ -25,7 +25,7 @@ counts as a success."""
 SPARE_FRAMES = 2
 """Fingers are closed this long before the target comes within reach of them."""
 CLOSED_EARLY_M = 0.0005
-"""Contact is expected this much before the localisation radius, or a rounding error would catch the
+"""Contact is expected this much before the localization radius, or a rounding error would catch the
 hand open."""
 EXTRAPOLATED_FRAMES = 60
 """How far baselines that do not know the target's path extrapolate it."""
@@ -128,7 +128,7 @@ def earliest_arrival(
     last if never.
 
     Args:
-        state: (18,) of the hand: palm centre [m], world, and joint angles [rad].
+        state: (18,) of the hand: palm center [m], world, and joint angles [rad].
         closed: (15,) joint angles of the closed hand [rad].
         path_w: (K, 3) the target's path from now on [m], world; K > 1.
         speed_m_s: speed limit of the palm [m/s].

@@ -13,7 +13,7 @@ from dynahoi_lerobot.experts.base import EXPERTS
 from dynahoi_lerobot.experts.intercept import closed_joints
 
 SEAT_M = np.array([-0.006, 0.0, 0.004])
-"""(3,) where the centre of a held target is, from the palm centre; the palm faces along x."""
+"""(3,) where the center of a held target is, from the palm center; the palm faces along x."""
 BEHIND_M = 0.06
 """The hand waits this far behind the target, along the palm's normal, until it is in line."""
 IN_LINE_M, OUT_OF_LINE_M = 0.005, 0.105
@@ -87,7 +87,7 @@ def approach(offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     close the fingers.
 
     Args:
-        offset: (..., 3) of the palm centre from where it is when the target is in its seat [m],
+        offset: (..., 3) of the palm center from where it is when the target is in its seat [m],
             world.
 
     Returns:

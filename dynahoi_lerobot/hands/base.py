@@ -135,8 +135,8 @@ class Hand(ABC):
         """Closure fractions (K,) and, per finger, the tip's distance (5, K) [m] from the middle of
         the grasp volume.
 
-        That is the axis through the palm centre, along z: fingers close around an upright object.
-        The thumb's is the distance to the palm centre itself.
+        That is the axis through the palm center, along z: fingers close around an upright object.
+        The thumb's is the distance to the palm center itself.
         """
         closure = np.linspace(0.0, 1.0, 101)
         distance = [

@@ -1,6 +1,6 @@
 """The bundled hands: left hands of capsules, palm facing +x, fingers pointing +y, thumb up.
 
-Lengths follow an adult hand. The palm centre lies 3.6 cm in front of the palm's surface, in the
+Lengths follow an adult hand. The palm center lies 3.6 cm in front of the palm's surface, in the
 middle of what the fingers enclose. Every joint is a position servo with a force limit.
 """
 
@@ -129,7 +129,7 @@ class CapsuleHand(Hand):
         """Return (K, 5, 3) positions of the fingertips [m], palm frame, at fractions (K,) of full
         closure.
         """
-        # in closed form: MuJoCo normalises the axes above, which turns the benchmark's reference
+        # in closed form: MuJoCo normalizes the axes above, which turns the benchmark's reference
         # grasps by 3e-5 rad
         full = {name: np.array(self.full_closure_rad[name]) for name in FINGERS}
         return np.array(

@@ -23,9 +23,9 @@ def judged_by_pose(episode: Episode) -> bool:
 
 def grasps_within(episode: Episode, frames: int) -> bool | None:
     """Tell whether all 15 joints match the reference in any of ``frames`` frames, counted from the
-    first localised one.
+    first localized one.
 
-    None if the target is never localised, and under the capture rule contact.
+    None if the target is never localized, and under the capture rule contact.
     """
     first = episode.first_localized
     if first is None or not judged_by_pose(episode):
@@ -40,21 +40,21 @@ def grasps_within(episode: Episode, frames: int) -> bool | None:
     "S_gra", unit="fraction", direction="higher", aggregation="rate", condition=LOCALISED_BY_POSE
 )
 def s_gra(episode: Episode) -> bool | None:
-    """Grasp success, given localisation: all 15 joints match the reference grasp at the first
-    localised frame.
+    """Grasp success, given localization: all 15 joints match the reference grasp at the first
+    localized frame.
 
     ``S_gra = 1 if for all j: (q_j - open_j) / (ref_j - open_j) >= 0.9, else 0`` with the joint
     angles q at that frame: each joint has turned in the direction of the reference, by at least 0.9
-    of its rotation. None if the target is never localised, and under the capture rule contact.
+    of its rotation. None if the target is never localized, and under the capture rule contact.
 
-    Fraction of localised episodes, higher is better. Paper: Section "Evaluation metrics" and
+    Fraction of localized episodes, higher is better. Paper: Section "Evaluation metrics" and
     Appendix "Evaluation Criteria".
     """
     return grasps_within(episode, 1)
 
 
 WINDOW_S = 0.5
-"""How long after localisation the grasp may close [s]."""
+"""How long after localization the grasp may close [s]."""
 
 
 @metric(
@@ -65,13 +65,13 @@ WINDOW_S = 0.5
     condition=LOCALISED_BY_POSE,
 )
 def s_gra_window(episode: Episode) -> bool | None:
-    """Grasp success within 0.5 s, given localisation: the test of S_gra on the first localised
+    """Grasp success within 0.5 s, given localization: the test of S_gra on the first localized
     frame and ten more.
 
     ``S_gra_window = 1 if S_gra's condition holds at any t in [t_loc, t_loc + 0.5 s], else 0``; None
     where S_gra is.
 
-    Fraction of localised episodes, higher is better. Ours: S_gra judges a single frame, so a hand
+    Fraction of localized episodes, higher is better. Ours: S_gra judges a single frame, so a hand
     that closes 50 ms late fails it.
     """
     return grasps_within(episode, 1 + round(WINDOW_S * conventions.CONTROL_HZ))
@@ -85,13 +85,13 @@ def s_gra_window(episode: Episode) -> bool | None:
     condition=LOCALISED_BY_POSE,
 )
 def s_gra_two_sided(episode: Episode) -> bool | None:
-    """Grasp success, given localisation, with joints neither too open nor too closed.
+    """Grasp success, given localization, with joints neither too open nor too closed.
 
     ``S_gra_two_sided = 1 if for all j: 0.9 <= (q_j - open_j) / (ref_j - open_j) <= 1.2, else 0``
-    with the joint angles q at the first localised frame; joints that the reference leaves open do
+    with the joint angles q at the first localized frame; joints that the reference leaves open do
     not count. None where S_gra is.
 
-    Fraction of localised episodes, higher is better. Ours: a fist passes the paper's S_gra for
+    Fraction of localized episodes, higher is better. Ours: a fist passes the paper's S_gra for
     every object.
     """
     first = episode.first_localized
@@ -104,8 +104,8 @@ def s_gra_two_sided(episode: Episode) -> bool | None:
 
 @metric("S_joint", unit="fraction", direction="higher", aggregation="rate", condition=BY_POSE)
 def s_joint(episode: Episode) -> bool | None:
-    """Joint success: localised, and with joints neither too open nor too closed at the first
-    localised frame.
+    """Joint success: localized, and with joints neither too open nor too closed at the first
+    localized frame.
 
     ``S_joint = S_loc * S_gra_two_sided``, over all episodes: the success of the capture rules that
     weld, and LeRobot's ``next.success`` and ``pc_success`` under them. None under the capture rule
@@ -118,20 +118,20 @@ def s_joint(episode: Episode) -> bool | None:
 
 @metric("S_joint_paper", unit="fraction", direction="higher", aggregation="rate", condition=BY_POSE)
 def s_joint_paper(episode: Episode) -> bool | None:
-    """Joint success by the paper's grasp: localised, and S_gra's condition holds at the first
-    localised frame.
+    """Joint success by the paper's grasp: localized, and S_gra's condition holds at the first
+    localized frame.
 
     ``S_joint_paper = S_loc * S_gra``, over all episodes. None under the capture rule contact.
 
     Fraction of episodes, higher is better. Ours: compare the paper's S_gra column with this metric.
     The paper calls its S_gra conditional, yet prints 0.80 % beside S_loc = 10.30 %: of 103
-    localised episodes, one is already 0.97 %.
+    localized episodes, one is already 0.97 %.
     """
     return _over_all_episodes(episode, s_gra(episode))
 
 
 def _over_all_episodes(episode: Episode, grasps: float | None) -> bool | None:
-    """Count an episode that never localised as a failure; None where no pose is judged."""
+    """Count an episode that never localized as a failure; None where no pose is judged."""
     return bool(grasps) if judged_by_pose(episode) else None
 
 

@@ -14,12 +14,12 @@ from dynahoi_lerobot.metrics.trajectory import until_localized
 
 @metric("S_loc", unit="fraction", direction="higher", aggregation="rate")
 def s_loc(episode: Episode) -> bool:
-    """Localisation success: the palm centre comes within 0.3 u (0.03 m) of the target centre.
+    """Localization success: the palm center comes within 0.3 u (0.03 m) of the target center.
 
     ``S_loc = 1 if exists t >= t_control: |palm(t) - target(t)| < 0.3 u, else 0``, the 3-D distance,
     checked between frames as well. Under the capture rule attach_lenient the threshold is 1.0 u
     (S_loc* of the paper's table of vision-language models), here and in every metric that depends
-    on localisation.
+    on localization.
 
     Fraction of episodes, higher is better. Paper: Section "Evaluation metrics", threshold from
     Appendix "Evaluation Criteria".
@@ -29,11 +29,11 @@ def s_loc(episode: Episode) -> bool:
 
 @metric("S_loc_planar", unit="fraction", direction="higher", aggregation="rate")
 def s_loc_planar(episode: Episode) -> bool:
-    """Planar localisation: the horizontal distance of palm and target centre falls below 0.3 u
+    """Planar localization: the horizontal distance of palm and target center falls below 0.3 u
     (0.03 m).
 
     ``S_loc_planar = 1 if exists t: |(palm(t) - target(t))_xy| < 0.3 u, else 0`` over the control
-    frames until the target is attached. 3-D localisation implies it, also between two frames. Under
+    frames until the target is attached. 3-D localization implies it, also between two frames. Under
     attach_lenient the threshold is 1.0 u.
 
     Fraction of episodes, higher is better. Source: the authors' evaluation code, which ignores
@@ -50,14 +50,14 @@ def s_loc_planar(episode: Episode) -> bool:
 
 
 INTERCEPT_TOLERANCE_FRAMES = round(0.1 * CONTROL_HZ)
-"""A target localised this long after the oracle's intercept, 0.1 s, still counts as intercepted."""
+"""A target localized this long after the oracle's intercept, 0.1 s, still counts as intercepted."""
 
 
 @metric("S_intercept", unit="fraction", direction="higher", aggregation="rate")
 def s_intercept(episode: Episode) -> bool:
-    """Localisation at the first opportunity: no later than 0.1 s after the oracle's intercept.
+    """Localization at the first opportunity: no later than 0.1 s after the oracle's intercept.
 
-    ``S_intercept = 1 if t_loc <= t_intercept + 0.1 s, else 0`` with ``t_loc`` the first localised
+    ``S_intercept = 1 if t_loc <= t_intercept + 0.1 s, else 0`` with ``t_loc`` the first localized
     frame of the control phase and ``t_intercept`` the earliest at which a hand of 0.3 m/s can meet
     the target.
 
@@ -70,7 +70,7 @@ def s_intercept(episode: Episode) -> bool:
 
 @metric("E_loc", unit="u", direction="lower", aggregation="mean", bounds=(0.0, float("inf")))
 def e_loc(episode: Episode) -> float:
-    """Localisation error: the least distance between palm centre and target centre.
+    """Localization error: the least distance between palm center and target center.
 
     ``E_loc = min_t |palm(t) - target(t)| / 0.1 m`` over the frames of the control phase.
 
@@ -88,11 +88,11 @@ def e_loc(episode: Episode) -> float:
     condition="localised episodes",
 )
 def relative_speed(episode: Episode) -> float | None:
-    """Relative speed of palm and target at localisation.
+    """Relative speed of palm and target at localization.
 
     ``relative_speed = |v_target(t - 1) - (palm(t) - palm(t - 1)) / 0.05 s|`` with t the first
-    localised frame. The target's velocity is that of the frame before, because at t a welded target
-    already moves with the palm. None if the target is never localised.
+    localized frame. The target's velocity is that of the frame before, because at t a welded target
+    already moves with the palm. None if the target is never localized.
 
     In m/s, lower is better. Ours: ``attach`` catches at any relative speed, which no real hand can.
     """
@@ -105,10 +105,10 @@ def relative_speed(episode: Episode) -> float | None:
 
 @metric("R_time", unit="score", direction="higher", aggregation="mean")
 def r_time(episode: Episode) -> float:
-    """Time score, counted from control start; 0 if the target is never localised.
+    """Time score, counted from control start; 0 if the target is never localized.
 
     ``R_time = 1 - T / N``, clipped to [0, 1], with N the recording's length [frames] and T the
-    frames from control start to the first localised one.
+    frames from control start to the first localized one.
 
     Score in [0, 1], higher is better. Paper: Section "Evaluation metrics"; the start of the clock
     follows the authors' evaluation code.
@@ -117,7 +117,7 @@ def r_time(episode: Episode) -> float:
 
 
 def time_score(episode: Episode, start_frame: int) -> float:
-    """Return ``1 - (first localised frame - start_frame) / length_frames`` in [0, 1], 0 if there is
+    """Return ``1 - (first localized frame - start_frame) / length_frames`` in [0, 1], 0 if there is
     none.
     """
     first = episode.first_localized
@@ -129,10 +129,10 @@ def time_score(episode: Episode, start_frame: int) -> float:
 @metric("R_time_total", unit="score", direction="higher", aggregation="mean")
 def r_time_total(episode: Episode) -> float:
     """Time score, counted from the first frame, so that observing costs time too; 0 if the target
-    is never localised.
+    is never localized.
 
     ``R_time_total = 1 - T / N``, clipped to [0, 1], with N the recording's length and T the frames
-    from the episode's start to the first localised one.
+    from the episode's start to the first localized one.
 
     Score in [0, 1], higher is better. Ours: the other reading of the paper's Section "Evaluation
     metrics".

@@ -1,4 +1,4 @@
-"""Quality of the palm's path, from control start to the first localised frame."""
+"""Quality of the palm's path, from control start to the first localized frame."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ fingers makes it recoil by up to 0.4 mm."""
 
 
 def until_localized(episode: Episode) -> slice:
-    """Return the control frames up to and including the first localised one; all of them if none
+    """Return the control frames up to and including the first localized one; all of them if none
     is.
 
     The paper's trajectory ends when the task is complete, as in the authors' own evaluation.
@@ -40,7 +40,7 @@ def palm_steps(episode: Episode) -> tuple[np.ndarray, np.ndarray]:
 
 @metric("Q_line", unit="score", direction="higher", aggregation="mean", bounds=(-1.0, 1.0))
 def q_line(episode: Episode) -> float:
-    """Spatial linearity of the palm's path from control start to the first localised frame.
+    """Spatial linearity of the palm's path from control start to the first localized frame.
 
     ``Q_line = 1 / (N - 1) * sum_t s_t . v`` with the unit directions ``s_t`` of the steps and ``v``
     of the whole displacement; 0 without displacement or if the palm stays within 1 mm, and a step
@@ -66,7 +66,7 @@ def linearity(steps: np.ndarray, displacement: np.ndarray) -> float:
 
 @metric("Q_smooth", unit="score", direction="higher", aggregation="mean")
 def q_smooth(episode: Episode) -> float:
-    """Temporal smoothness of the palm's path from control start to the first localised frame.
+    """Temporal smoothness of the palm's path from control start to the first localized frame.
 
     ``Q_smooth = 1 / (1 + CV(d))`` with ``CV = sigma_d / mu_d`` (population standard deviation) of
     the step lengths ``d_t = |p_{t+1} - p_t|``, and ``CV = 0`` where ``mu_d = 0``: the palm stays

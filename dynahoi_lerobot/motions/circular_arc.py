@@ -17,7 +17,7 @@ class CircularMotion(PrescribedMotion):
     Radius 0.1 to 0.3 m, speed 0.3 to 1 m/s, either sense.
 
     Attributes:
-        center: centre of the circle [m].
+        center: center of the circle [m].
         radius_m: R.
         rate_rad_s: w, signed.
         phase_rad: angle at t = 0.
@@ -77,7 +77,7 @@ class Helix(CircularMotion):
 
     Attributes:
         climb_m_s: vertical speed, signed.
-        meeting_s: when the circle's centre is at ``center`` [s].
+        meeting_s: when the circle's center is at ``center`` [s].
     """
 
     climb_m_s: float = 0.0
@@ -107,7 +107,7 @@ class SwingingArc(PrescribedMotion):
     to 60 degrees.
 
     Attributes:
-        pivot: centre of the arc [m].
+        pivot: center of the arc [m].
         radius_m: R.
         swing_rad: A.
         rate_rad_s: w, 0.35 to 0.8 Hz with peak speed at most 1.6 m/s.

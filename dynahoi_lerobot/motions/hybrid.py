@@ -55,7 +55,7 @@ class HarmonicDrift(PrescribedMotion):
     A 0.08 to 0.22 m.
 
     Attributes:
-        meeting: centre of the oscillation at ``meeting_s`` [m].
+        meeting: center of the oscillation at ``meeting_s`` [m].
         drift: u v [m/s].
         across: n, unit vector.
         meeting_s: [s].

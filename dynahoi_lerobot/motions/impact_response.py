@@ -26,7 +26,7 @@ class TabletopMotion(PhysicalMotion):
     """An impact on a level table of low friction.
 
     Attributes:
-        contact: centre of the target at the impact [m].
+        contact: center of the target at the impact [m].
         yaw_rad: horizontal direction of what moves before the impact, the striker or the target.
         speed_m_s: its speed at the impact.
         impact_s: time of the impact [s]; earlier by less than a millisecond for a ball that begins
@@ -61,7 +61,7 @@ class TabletopMotion(PhysicalMotion):
 
 
 def reach_m(target: TargetObject) -> float:
-    """Return how far an upright target extends from its centre along its x axis [m].
+    """Return how far an upright target extends from its center along its x axis [m].
 
     Impacts are along that axis, so that boxes are hit in the middle of a face.
     """

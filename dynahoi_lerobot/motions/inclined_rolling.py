@@ -31,7 +31,7 @@ class RollingMotion(PhysicalMotion):
     friction [m].
 
     Attributes:
-        meeting: centre of the target ``run_m`` after its release, on the slope or at its foot [m].
+        meeting: center of the target ``run_m`` after its release, on the slope or at its foot [m].
         slope_rad: inclination q, 4 to 12 degrees.
         yaw_rad: horizontal direction of descent.
         run_m: distance from the release to ``meeting`` [m].

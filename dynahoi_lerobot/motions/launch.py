@@ -47,7 +47,7 @@ class Box:
     """A static box.
 
     Attributes:
-        pos: centre [m], world.
+        pos: center [m], world.
         half_size: half extents along its own axes [m].
         quat: orientation wxyz, world.
         restitution: of its contacts with the target, unless the target's own is greater.
@@ -67,7 +67,7 @@ class Striker:
     """A ball without weight that flies in a straight line and hits the target.
 
     Attributes:
-        pos: centre at the start [m], world.
+        pos: center at the start [m], world.
         velocity: constant until it hits [m/s], world, horizontal.
         radius_m: its radius.
         mass_kg: its mass.
@@ -86,9 +86,9 @@ class Launch:
     """The initial condition of a physical motion, and the fixtures around it.
 
     Attributes:
-        pos: centre of the target [m], world.
+        pos: center of the target [m], world.
         quat: its orientation wxyz, world.
-        velocity: of its centre [m/s], world.
+        velocity: of its center [m/s], world.
         spin: its angular velocity [rad/s], target frame.
         release_s: the target is held still at ``pos`` until this time [s], and leaves with
             ``velocity``.
@@ -99,7 +99,7 @@ class Launch:
         restitution: of its contacts with anything but the hand, rebound speed over impact speed, 0
             to 1.
         friction: sliding friction coefficient against surfaces; None for the object's own.
-        drag_kg_s: linear drag on its centre [N s/m].
+        drag_kg_s: linear drag on its center [N s/m].
     """
 
     pos: Vector

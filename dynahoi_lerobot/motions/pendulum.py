@@ -18,7 +18,7 @@ class SuspendedMotion(PhysicalMotion):
 
     Attributes:
         anchor: where the string is fixed [m].
-        length_m: from the anchor to the target's centre, 0.3 to 1.1 m.
+        length_m: from the anchor to the target's center, 0.3 to 1.1 m.
         angle_rad: of the string with the vertical at t = 0.
         yaw_rad: horizontal direction of the initial deflection.
         drag_1_s: drag over mass, so amplitudes decay as exp(-drag t / 2).

@@ -21,13 +21,13 @@ class TargetObject:
 
     Attributes:
         name: its registered name.
-        primitives: its solids, in the object's frame: origin at the centre of mass, z along the
+        primitives: its solids, in the object's frame: origin at the center of mass, z along the
             axis of symmetry.
         mass_kg: its mass.
         inertia: principal moments of inertia [kg m^2], aligned with the object's frame.
         friction: sliding friction coefficient.
         grasp_radius_m: half of the width that the fingers close around.
-        rest_height_m: height of the centre when it stands on a surface.
+        rest_height_m: height of the center when it stands on a surface.
         roll_radius_m: radius it rolls on, 0 if it does not roll.
     """
 

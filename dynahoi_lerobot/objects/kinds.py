@@ -69,7 +69,7 @@ def bottle(rng: np.random.Generator) -> ObjectGeometry:
     """A bottle: a body of radius 2.4 to 3.2 cm, a neck 0.45 times as wide and a spherical cap."""
     radius, half = rng.uniform(0.024, 0.032), rng.uniform(0.035, 0.05)
     neck_radius, neck_half = 0.45 * radius, 0.35 * half
-    shift = 0.12 * half  # puts the centre of mass at the origin, within a few per cent
+    shift = 0.12 * half  # puts the center of mass at the origin, within a few per cent
     body = Primitive("cylinder", (radius, half), (0.0, 0.0, -shift))
     neck = Primitive("cylinder", (neck_radius, neck_half), (0.0, 0.0, half - shift + neck_half))
     cap = Primitive("sphere", (1.15 * neck_radius,), (0.0, 0.0, half - shift + 2 * neck_half))
@@ -100,12 +100,12 @@ def cone(rng: np.random.Generator) -> ObjectGeometry:
         Primitive("cylinder", (float(width), slice_half), (0.0, 0.0, float(middle - center)))
         for width, middle in zip(widths, middles, strict=True)
     )
-    return ObjectGeometry(slices, 0.75 * radius, center)  # a cone's radius at its centre of mass
+    return ObjectGeometry(slices, 0.75 * radius, center)  # a cone's radius at its center of mass
 
 
 @object_type("dumbbell")
 def dumbbell(rng: np.random.Generator) -> ObjectGeometry:
-    """A dumbbell: two balls of radius 2 to 2.8 cm on a bar, their centres 5 to 8 cm apart."""
+    """A dumbbell: two balls of radius 2 to 2.8 cm on a bar, their centers 5 to 8 cm apart."""
     radius, half = rng.uniform(0.02, 0.028), rng.uniform(0.025, 0.04)
     bar = Primitive("capsule", (0.4 * radius, half))
     ends = [Primitive("sphere", (radius,), (0.0, 0.0, z)) for z in (-half, half)]
@@ -125,7 +125,7 @@ def jack(rng: np.random.Generator) -> ObjectGeometry:
 
 @object_type("ring", slides=True)
 def ring(rng: np.random.Generator) -> ObjectGeometry:
-    """A ring of eight segments, 2.8 to 3.6 cm from the centre to the middle of its 0.8 cm tube."""
+    """A ring of eight segments, 2.8 to 3.6 cm from the center to the middle of its 0.8 cm tube."""
     radius, tube = rng.uniform(0.028, 0.036), 0.008
     half = float(radius * tan(np.pi / 8))
     segments = []

@@ -20,7 +20,7 @@ class Primitive:
         shape: ``sphere``, ``capsule``, ``cylinder``, ``ellipsoid`` or ``box``.
         size: MuJoCo's half-sizes [m]: (radius,) of a sphere, (radius, half length) of a capsule or
             cylinder along z, (x, y, z) of an ellipsoid or a box.
-        pos: centre [m].
+        pos: center [m].
         quat: orientation wxyz.
     """
 
@@ -94,7 +94,7 @@ def extent(primitives: Sequence[Primitive]) -> np.ndarray:
 
 
 def _reach(primitive: Primitive) -> np.ndarray:
-    """(3,) how far a solid reaches from its centre along each axis of the object's frame [m]."""
+    """(3,) how far a solid reaches from its center along each axis of the object's frame [m]."""
     turn, (a, b, c) = quat_to_matrix(np.asarray(primitive.quat)), primitive.half_size
     along = np.abs(turn[:, 2])  # of the solid's own axis
     return {

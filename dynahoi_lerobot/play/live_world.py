@@ -120,7 +120,7 @@ class LiveWorld:
         return self._seen
 
     def command(self, command: np.ndarray) -> None:
-        """Give the hand its next command, (18,): palm centre [m], home frame, and joint angles
+        """Give the hand its next command, (18,): palm center [m], home frame, and joint angles
         [rad].
 
         The first one starts the clock.

@@ -111,7 +111,7 @@ class PlayServer:
         self._playing: web.WebSocketResponse | None = None
 
     async def run(self, started: Callable[[str], None]) -> None:
-        """Serve until cancelled; ``started`` is called with the address of the page."""
+        """Serve until canceled; ``started`` is called with the address of the page."""
         app = web.Application()
         app.add_routes([web.get("/", self._page), web.get("/play", self._socket)])
         app.on_shutdown.append(self._leave)

@@ -52,7 +52,7 @@ class Steering:
         return cls(*np.clip(values, (-1, -1, -1, 0), 1).tolist())
 
     def command(self, world: LiveWorld) -> np.ndarray:
-        """Return (18,) the command: palm centre [m], home frame, and joint angles [rad].
+        """Return (18,) the command: palm center [m], home frame, and joint angles [rad].
 
         The palm goes where the pointer points in the plane of the hand's camera, and forward. Under
         ``attach`` closing means the object's reference grasp, since nothing stops the fingers

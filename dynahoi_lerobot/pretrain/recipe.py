@@ -27,7 +27,7 @@ class PretrainRecipe:
         hands: names of the hands that take turns from update to update; none for that of
             ``episodes``.
         n_episodes: how many different episodes are shown, with each hand.
-        randomized_share: share of those whose appearance is randomised in every way, see
+        randomized_share: share of those whose appearance is randomized in every way, see
             ``randomization``.
         images: images in all, each seen once.
         batch_size: images in an update.

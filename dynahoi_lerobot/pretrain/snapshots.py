@@ -28,7 +28,7 @@ HOME_SHARE = 0.25
 """Share of the images from home, while the hand watches; that is where most of what stands about is
 in view."""
 NEAR_SHARE, APPROACH_SHARE = 0.35, 0.45
-"""Shares of the other images with the palm at the target, where an error of centimetres decides,
+"""Shares of the other images with the palm at the target, where an error of centimeters decides,
 and on its way there; in the rest it is anywhere behind it."""
 NEAR_M = 0.06
 """Standard deviation of the palm from the target when it is near, along each axis [m]."""
@@ -65,9 +65,9 @@ class Snapshots:
 
     Attributes:
         images: (N, H, W, 6) uint8 RGB of a camera, and RGB one frame before.
-        place: (N, 3) float32 target centre relative to the palm centre, or, if the camera stands
+        place: (N, 3) float32 target center relative to the palm center, or, if the camera stands
             still, to where that is at home [m], world axes.
-        from_palm: (N, 3) target centre relative to the palm centre [m], world axes.
+        from_palm: (N, 3) target center relative to the palm center [m], world axes.
     """
 
     images: np.ndarray
@@ -120,7 +120,7 @@ class ImageStream:
 def shown_specs(
     recipe: PretrainRecipe, episodes: Recipe, chosen: Sequence[int]
 ) -> list[EpisodeSpec]:
-    """Return the ``chosen`` ones of the episodes that are shown; the last of all are randomised."""
+    """Return the ``chosen`` ones of the episodes that are shown; the last of all are randomized."""
     n_plain = round(recipe.n_episodes * (1 - recipe.randomized_share))
     randomized = replace(episodes, appearance=tuple(RANDOMIZATIONS))
     plain = sample_specs(episodes, [i for i in chosen if i < n_plain])

@@ -16,7 +16,7 @@ from dynahoi_lerobot.scene.scene import Scene
 
 CAMERAS = (EGO_VIEW, SIDE_CAMERA)
 DEPTH_LEVEL_M = 0.01
-"""Depth per grey level [m]; 2.55 m and more is white, as is a ray that hits nothing."""
+"""Depth per gray level [m]; 2.55 m and more is white, as is a ray that hits nothing."""
 FARTHEST_LEVEL = 255
 COLORS = {
     "nothing": (0, 0, 0),
@@ -29,8 +29,8 @@ COLORS |= {"target": (230, 50, 50)}
 
 
 def depth(renderer: Renderer, ids: np.ndarray) -> np.ndarray:
-    """Return depth along the optical axis as (n, H, W, 3) uint8 grey images, one level per
-    centimetre.
+    """Return depth along the optical axis as (n, H, W, 3) uint8 gray images, one level per
+    centimeter.
     """
     depth_m = renderer.depth(ids)  # (n, H, W)
     levels = np.where(
@@ -60,14 +60,14 @@ EXTRA_VIEWS = tuple(name for name in VIEWS if name != EGO_VIEW)
 """Views that are rendered only if asked for."""
 
 MOTION_VIEW = EGO_VIEW + "_motion"
-"""Grey images of the hand's camera now, two and four frames ago in the three channels, for policies
+"""Gray images of the hand's camera now, two and four frames ago in the three channels, for policies
 that take one frame; it is composed from ``ego`` and costs no rendering."""
 OPTIONAL_VIEWS = (*EXTRA_VIEWS, MOTION_VIEW)
 """Views that episodes have only if asked for."""
 
 
 def _palette(scene: Scene) -> np.ndarray:
-    """(ngeom + 1, 3) uint8 class colour of each geom id; the last row is that of a ray that hits
+    """(ngeom + 1, 3) uint8 class color of each geom id; the last row is that of a ray that hits
     nothing.
     """
     palette = np.full((scene.model.ngeom + 1, 3), COLORS["surroundings"], np.uint8)

@@ -15,7 +15,7 @@ from dynahoi_lerobot.evaluate.rows import Row, identity
 from dynahoi_lerobot.sampling.salt import refuse_mixed_streams, refuse_to_mix
 
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c6bb1", "#999999")
-"""Okabe and Ito's colour-blind safe palette without black and yellow, legible on light and dark."""
+"""Okabe and Ito's color-blind safe palette without black and yellow, legible on light and dark."""
 SHAPES: tuple[tuple[str, str, Any, str], ...] = (
     ("o", "●", "solid", ""),
     ("s", "■", (0, (5, 1.5)), "///"),
@@ -35,7 +35,7 @@ GENERIC_FOLDERS = {"checkpoints", "last", "pretrained_model", "training"}
 
 @dataclass(frozen=True)
 class Mark:
-    """What tells one evaluation from the others in figures, see ``SHAPES``; a colour in hexadecimal
+    """What tells one evaluation from the others in figures, see ``SHAPES``; a color in hexadecimal
     RGB.
     """
 

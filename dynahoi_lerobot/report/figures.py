@@ -30,7 +30,7 @@ WIDTH_IN = 12.0
 PANELS_PER_ROW = 5
 LEGEND_COLUMNS = 4
 INK = "#0a0b0c"
-"""Placeholder for the text colour while drawing; in the SVG the page's text colour replaces it."""
+"""Placeholder for the text color while drawing; in the SVG the page's text color replaces it."""
 INK_CSS = (
     "<style>:root{--ink:#1f2328}@media(prefers-color-scheme:dark){:root{--ink:#e6e8eb}}</style>"
 )
@@ -238,7 +238,7 @@ STAGES = {
     "captured": "#1b7837",
     "held": "#1b7837",
 }
-"""Colour of each stage of both capture rules, from the earliest failure to success."""
+"""Color of each stage of both capture rules, from the earliest failure to success."""
 
 
 @figure("stages", "Where episodes end")
@@ -305,7 +305,7 @@ def per_kind(entries: Sequence[Entry]) -> Figure | None:
 
 
 def _heat_map(panel: Axes, cells: Sequence[Sequence[Estimate | None]], name: str) -> None:
-    """Draw estimates of (evaluations, kinds) as coloured cells with value [%] and n; one without
+    """Draw estimates of (evaluations, kinds) as colored cells with value [%] and n; one without
     episodes is empty.
     """
     grid = np.stack([error_bars(row)[0] for row in cells])
@@ -344,7 +344,7 @@ def by_travel(entries: Sequence[Entry]) -> Figure | None:
 
 @figure("time-to-catch", "Time to the catch")
 def time_to_catch(entries: Sequence[Entry]) -> Figure:
-    """The share of episodes in which the target has been localised by a time after the control
+    """The share of episodes in which the target has been localized by a time after the control
     start [s].
     """
     drawing, (panel,) = subplots(1, 1, 3.0 + legend_height_in(entries))

@@ -16,7 +16,7 @@ from dynahoi_lerobot.core.conventions import LOCALIZATION_RADIUS_M, UNIT_M
 from dynahoi_lerobot.core.protocols import CONTROL_CLASSES
 
 HOLD_CLEARANCE_M = LOCALIZATION_RADIUS_M + 0.005
-"""Least distance of the target from the palm centre of a hand that never moves, from control start
+"""Least distance of the target from the palm center of a hand that never moves, from control start
 to the end.
 
 The margin is for paths that bend between two frames: a target in free fall strays 3 mm from a

@@ -31,11 +31,11 @@ from dynahoi_lerobot.scene.scene import compile_scene
 DIRECTIONS = 192
 """Homes that are tried for one motion."""
 MIN_CLEARANCE_M = 0.075
-"""Least distance of the target from the palm centre until control starts."""
+"""Least distance of the target from the palm center until control starts."""
 MIN_FRONT_M = 0.015
-"""Least distance of the target in front of the palm centre, along +x, until control starts."""
+"""Least distance of the target in front of the palm center, along +x, until control starts."""
 MIN_VISIBLE_SHARE = 0.9
-"""Least share of the window's frames in which the camera sees the target's centre."""
+"""Least share of the window's frames in which the camera sees the target's center."""
 HOME_HEIGHT_M = (0.15, 2.2)
 MAX_HOME_ASIDE_M = 1.7
 VIEW_MARGIN = 0.92
@@ -51,7 +51,7 @@ drawn."""
 def find_homes(
     paths_w: Sequence[np.ndarray], timing: Timing, fixtures: Sequence[Box], rng: np.random.Generator
 ) -> np.ndarray:
-    """Return those homes for the palm centre, of some that are tried, that fit the motion until the
+    """Return those homes for the palm center, of some that are tried, that fit the motion until the
     intercept.
 
     The home lies ``travel_m`` away from the intercept, so that a hand of fixed speed arrives there
@@ -138,7 +138,7 @@ def _watches(window_w: np.ndarray, homes: np.ndarray) -> np.ndarray:
     """(K,) whether the target is clear of the hand, in front of it and in view in the window, path
     (W + 1, 3).
     """
-    relative = window_w - homes[:, None]  # (K, W + 1, 3) from the palm centre, world axes
+    relative = window_w - homes[:, None]  # (K, W + 1, 3) from the palm center, world axes
     fits = (np.linalg.norm(relative, axis=-1) > MIN_CLEARANCE_M).all(axis=1)
     fits &= (relative[..., 0] > MIN_FRONT_M).all(axis=1)
     fits[fits] = visible(relative[fits]).mean(axis=1) >= MIN_VISIBLE_SHARE
@@ -153,7 +153,7 @@ def _clear_of(path_w: np.ndarray, homes: np.ndarray) -> np.ndarray:
 
 
 def visible(points: np.ndarray) -> np.ndarray:
-    """Tell which points (..., 3) from the palm centre [m], world axes, the open reference hand's
+    """Tell which points (..., 3) from the palm center [m], world axes, the open reference hand's
     camera sees.
     """
     pos, rotation, half = _camera()

@@ -1,8 +1,8 @@
-"""Stronger randomisation of appearance, each by a name that a recipe may list; it changes nothing
+"""Stronger randomization of appearance, each by a name that a recipe may list; it changes nothing
 but images.
 
 Each draws from random numbers of its own, seeded with the episode, so the episode keeps its motion,
-its instruction and what the other randomisations drew. They address the first limitation that the
+its instruction and what the other randomizations drew. They address the first limitation that the
 paper names, that its scenes look alike.
 """
 
@@ -34,7 +34,7 @@ def randomize_appearance(spec: EpisodeSpec, names: Sequence[str]) -> EpisodeSpec
 
 
 def _materials(spec: EpisodeSpec, rng: np.random.Generator) -> Appearance:
-    """Any colour on target, surroundings and hand, from pale to saturated."""
+    """Any color on target, surroundings and hand, from pale to saturated."""
     return replace(
         spec.appearance,
         target_rgb=hsv(rng.random(), rng.uniform(0.0, 1.0), rng.uniform(0.25, 1.0)),
@@ -46,7 +46,7 @@ def _materials(spec: EpisodeSpec, rng: np.random.Generator) -> Appearance:
 
 
 def _lights(spec: EpisodeSpec, rng: np.random.Generator) -> Appearance:
-    """Light from dim to glaring, slightly coloured, from any direction above."""
+    """Light from dim to glaring, slightly colored, from any direction above."""
     angle, slant = rng.uniform(0, 2 * np.pi), rng.uniform(0.0, 1.5)
     return replace(
         spec.appearance,
@@ -67,7 +67,7 @@ def _transparency(spec: EpisodeSpec, rng: np.random.Generator) -> Appearance:
 
 
 def _distractors(spec: EpisodeSpec, rng: np.random.Generator) -> Appearance:
-    """One to four coloured solids that stand or float behind the target's path and do not move."""
+    """One to four colored solids that stand or float behind the target's path and do not move."""
     begin = max(float(spec.target_path_w[:, 0].max()), float(spec.home_pos_w[0])) + BEHIND_M
     chosen = rng.permutation(list(DISTRACTORS))[: rng.integers(1, len(DISTRACTORS) + 1)]
     things = [

@@ -52,7 +52,7 @@ class Recipe:
     )
     appearance: tuple[str, ...] = option(
         (),
-        "comma-separated visual randomisations beyond the training distribution: materials, "
+        "comma-separated visual randomizations beyond the training distribution: materials, "
         "lights, specular, transparency, distractors",
     )
     salt: str = option(

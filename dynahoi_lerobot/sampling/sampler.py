@@ -193,7 +193,7 @@ class Candidate:
 
         Args:
             paths_w: (F, 3) path of the untouched target [m], world, of each of ``motions``.
-            home_pos_w: (3,) palm centre at the start [m], world.
+            home_pos_w: (3,) palm center at the start [m], world.
         """
         hand = HANDS[self.recipe.rules.hand_name]
         spec = EpisodeSpec(

@@ -24,7 +24,7 @@ class RollAhead:
     Prescribed targets follow their closed form, which the simulated drive reproduces; physical ones
     are simulated in the scene they will be played in, with the hand parked. A target at which
     nothing pushes then goes the very same way to the bit; in a scene without a hand, sliding ones
-    would drift apart by centimetres.
+    would drift apart by centimeters.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Appearance of an episode: procedural patterns, colours, light and furniture."""
+"""Appearance of an episode: procedural patterns, colors, light and furniture."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -67,11 +67,11 @@ PATTERNS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
     "bricks": lambda u, v: _rectangles(u, v, 4, 8, 0.5),
 }
 """Brightness, 0 to 1, of u (1, W) and v (H, 1) in the unit square, to be broadcast; multiplied by a
-colour."""
+color."""
 
 
 def texture_pixels(pattern: str, contrast: float) -> np.ndarray:
-    """Return (128, 128, 3) uint8 grey pixels of a pattern; its darkest parts lack a share
+    """Return (128, 128, 3) uint8 gray pixels of a pattern; its darkest parts lack a share
     ``contrast``.
     """
     across = (np.arange(TEXTURE_SIZE) + 0.5) / TEXTURE_SIZE
@@ -101,8 +101,8 @@ class Solid:
     Attributes:
         shape: one of ``model.SHAPES``.
         half_size: (3,) MuJoCo half-sizes [m].
-        pos_w: (3,) centre [m], world.
-        rgb: (3,) colour, 0 to 1.
+        pos_w: (3,) center [m], world.
+        rgb: (3,) color, 0 to 1.
     """
 
     shape: str
@@ -113,19 +113,19 @@ class Solid:
 
 @dataclass(frozen=True)
 class Appearance:
-    """Textures, colours and light of one episode.
+    """Textures, colors and light of one episode.
 
     Attributes:
         target_pattern, floor_pattern, wall_pattern, box_pattern: names in ``PATTERNS``.
         target_rgb, floor_rgb, wall_rgb, box_rgb, skin_rgb: tints, 0 to 1.
         light_dir: (3,) direction the light travels in, world.
         light_level: diffuse intensity of the light, 0 to 1.
-        light_rgb: its colour, 0 to 1.
+        light_rgb: its color, 0 to 1.
         gloss: intensity of the highlights, 0 to 1.
         target_alpha: opacity of the target, 0 to 1.
         distractors: further solids in view, each of another shape.
         furniture: boxes that stand about.
-        sleeve_rgb: colour of the sleeve, 0 to 1.
+        sleeve_rgb: color of the sleeve, 0 to 1.
         screen: the panel that hides the target for a while, under a protocol that has one.
     """
 
@@ -150,7 +150,7 @@ class Appearance:
 
     @classmethod
     def sample(cls, rng: np.random.Generator) -> Self:
-        """Draw patterns, colours and light; hues and saturations of target and surroundings
+        """Draw patterns, colors and light; hues and saturations of target and surroundings
         overlap.
         """
         patterns = rng.choice(list(PATTERNS), size=4)
@@ -179,7 +179,7 @@ class Appearance:
 def set_apart(
     rgb: tuple[float, float, float], surfaces: Sequence[tuple[float, float, float]]
 ) -> tuple[float, float, float]:
-    """Return a colour, or the nearest relative of it that is ``LEAST_CONTRAST`` away from all
+    """Return a color, or the nearest relative of it that is ``LEAST_CONTRAST`` away from all
     ``surfaces``.
 
     Relatives are lighter, darker, and in the end of the opposite hue; if none will do, the

@@ -26,8 +26,8 @@ POINT_CLEARANCE_M = 0.02
 thickness of a finger's flesh around its axis (0.85 to 0.95 cm), so that fingers do not touch the
 fixture as they begin to close."""
 WAY_CLEARANCE_M = 0.03
-"""Least distance of the palm centre from a fixture on its straight way to the intercept: the
-localisation radius. Where the target itself is nearer to its table, that distance."""
+"""Least distance of the palm center from a fixture on its straight way to the intercept: the
+localization radius. Where the target itself is nearer to its table, that distance."""
 WAY_POINTS = 64
 
 
@@ -45,13 +45,13 @@ def open_reference_hand() -> tuple[Scene, mujoco.MjData]:
 
 
 def keeps_clear(homes: np.ndarray, intercept_w: np.ndarray, fixtures: Sequence[Box]) -> np.ndarray:
-    """Tell from which homes neither the waiting hand nor the palm centre on its way comes too near
+    """Tell from which homes neither the waiting hand nor the palm center on its way comes too near
     to a fixture.
 
-    The fingers do on the last centimetres, where the target lies on a table.
+    The fingers do on the last centimeters, where the target lies on a table.
 
     Args:
-        homes: (K, 3) positions of the palm centre [m], world.
+        homes: (K, 3) positions of the palm center [m], world.
         intercept_w: (3,) where the target is met [m], world.
         fixtures: the boxes around the motion.
 
@@ -81,7 +81,7 @@ def box_distance(points: np.ndarray, box: Box) -> np.ndarray:
 
 @functools.cache
 def hand_points() -> np.ndarray:
-    """(P, 3) points all over the open reference hand [m], from the palm centre: grids in its geoms'
+    """(P, 3) points all over the open reference hand [m], from the palm center: grids in its geoms'
     bounding boxes.
     """
     scene, data = open_reference_hand()

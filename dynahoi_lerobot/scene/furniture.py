@@ -23,7 +23,7 @@ ATTEMPTS = 24
 Color = tuple[float, float, float]
 Part = tuple[tuple[float, float, float], tuple[float, float, float], Color]
 """Lower corner and extent of a box [m], from the middle of the piece's back on the floor; its
-colour."""
+color."""
 
 
 def _cabinet(rng: np.random.Generator, wood: Color, pale: Color, accent: Color) -> list[Part]:
@@ -80,7 +80,7 @@ def _rug(rng: np.random.Generator, wood: Color, pale: Color, accent: Color) -> l
 
 
 PIECES = (_cabinet, _shelf, _table, _crate, _picture, _rug)
-"""Each draws one piece in the colours of the episode's wood, of what is pale and of what stands
+"""Each draws one piece in the colors of the episode's wood, of what is pale and of what stands
 out."""
 ON_THE_WALL = (_picture,)
 

@@ -80,7 +80,7 @@ WALLS = {
     "wall_right": ((0, -1, 0), (1, 0, 1)),
     "wall_back": ((-1, 0, 0), (0, 1, 1)),
 }
-"""Direction of each wall from the centre, and the axes along it. They keep targets in."""
+"""Direction of each wall from the center, and the axes along it. They keep targets in."""
 WALL_HALF_THICKNESS_M = 0.1
 SHOWN_GROUPS = (SHOWN_GROUP, SKIN_GROUP)
 SHININESS = 0.5
@@ -89,7 +89,7 @@ SHININESS = 0.5
 SIDE_CAMERA = "side"
 SIDE_CAMERA_POS_M, SIDE_CAMERA_TARGET_M = np.array([1.0, 0.6, 0.5]), np.array([0.35, 0.05, 0.0])
 SIDE_CAMERA_FOVY_DEG = 54.0
-"""Pose of the static side camera, relative to the palm's centre at home: in front of the hand and
+"""Pose of the static side camera, relative to the palm's center at home: in front of the hand and
 to its left, from where the hand seldom hides the target."""
 
 

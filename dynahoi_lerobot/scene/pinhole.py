@@ -14,7 +14,7 @@ class Pinhole:
     """A camera with square images, in the frame of the body that it is fixed to.
 
     The hand's camera is fixed to the palm, which does not turn and has its origin at the palm
-    centre; the side camera to a body that is put where the palm centre waits.
+    center; the side camera to a body that is put where the palm center waits.
 
     Attributes:
         pos_m: (3,) [m].
@@ -47,7 +47,7 @@ class Pinhole:
         """Return (4,) focal lengths fx and fy and principal point cx and cy [px] in images of that
         side [px].
 
-        The centre of the first pixel is at (0.5, 0.5).
+        The center of the first pixel is at (0.5, 0.5).
         """
         half = image_size / 2
         focal = half / self.half_view

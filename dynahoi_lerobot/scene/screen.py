@@ -66,7 +66,7 @@ class Sight:
     Attributes:
         eyes_w: (2, M, 3) the camera at every frame [m], world: of the waiting hand, and of one that
             goes straight to the meeting from control start on.
-        target_w: (M, 3) the untouched target's centre [m], world.
+        target_w: (M, 3) the untouched target's center [m], world.
         radius_m: of the sphere around the target.
         inner_m: of a sphere within it.
         release_frame: first frame at which the target moves.
@@ -218,7 +218,7 @@ def silhouette(
 
 
 def enclosing_radius_m(target: TargetObject) -> float:
-    """Return the radius [m] of a sphere around the centre that holds all of an object."""
+    """Return the radius [m] of a sphere around the center that holds all of an object."""
     return max(
         norm(part.pos) + _EXTENTS[part.shape](np.asarray(part.half_size))
         for part in target.primitives
@@ -232,7 +232,7 @@ _EXTENTS = {
     "ellipsoid": lambda half: float(half.max()),
     "box": norm,
 }
-"""How far each shape reaches from its centre [m], from its (3,) half-sizes."""
+"""How far each shape reaches from its center [m], from its (3,) half-sizes."""
 
 
 def stands_clear(panel: Box, spec: EpisodeSpec, meeting: int, radius_m: float) -> bool:
@@ -240,7 +240,7 @@ def stands_clear(panel: Box, spec: EpisodeSpec, meeting: int, radius_m: float) -
     around the target.
 
     All of the open hand keeps clear on its way to where a fast hand meets the target, at frame
-    ``meeting``, and the palm centre also on the way to the episode's intercept.
+    ``meeting``, and the palm center also on the way to the episode's intercept.
     """
     home, launch = spec.home_pos_w, spec.motion.launch(spec.target)
     return (
@@ -254,10 +254,10 @@ def stands_clear(panel: Box, spec: EpisodeSpec, meeting: int, radius_m: float) -
 
 
 def _clear_of_hand(panel: Box, home_w: np.ndarray, goal_w: np.ndarray, points: np.ndarray) -> bool:
-    """Tell whether a panel is off the waiting hand, and off palm centre and camera on a straight
+    """Tell whether a panel is off the waiting hand, and off palm center and camera on a straight
     way.
 
-    The palm centre keeps as far from it as from fixtures; ``points`` (P, 3) of the hand must not be
+    The palm center keeps as far from it as from fixtures; ``points`` (P, 3) of the hand must not be
     in it.
     """
     way = home_w + np.linspace(0.0, 1.0, HAND_POSES)[:, None] * (goal_w - home_w)

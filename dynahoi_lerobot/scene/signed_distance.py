@@ -6,7 +6,7 @@ import numpy as np
 
 
 def signed_distance(shape: str, points: np.ndarray, half_size: np.ndarray) -> np.ndarray:
-    """Return the signed distance [m] of points to a primitive centred at the origin, negative
+    """Return the signed distance [m] of points to a primitive centered at the origin, negative
     inside.
 
     Args:

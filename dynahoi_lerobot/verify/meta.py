@@ -46,7 +46,7 @@ IMAGE_LEVELS = {
 }
 """How far statistics of images before they were encoded may lie from those of the decoded ones
 [levels of 255], with crf 23 or less; the greatest seen are 1.7, 3.6, 10, 12, 6, 31, 14, 27 and 54.
-Video halves the resolution of colours."""
+Video halves the resolution of colors."""
 CRF, CRF_DOUBLES = 23, 12
 """Beyond this crf, this many steps double what is allowed (seen with crf 51: 7.8 for the mean, 17
 for std)."""

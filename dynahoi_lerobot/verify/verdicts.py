@@ -1,6 +1,6 @@
 """Fourth claim: verdicts and metrics follow from the columns.
 
-States give fingertips; poses and solids give distances; distances give localisation and contacts;
+States give fingertips; poses and solids give distances; distances give localization and contacts;
 these and the capture rule give the verdict. Metrics are computed from these columns whenever they
 are asked for, so nothing else is stored.
 """

@@ -55,7 +55,7 @@ class VlmAgent(Agent):
         self._planned = [deque() for _ in range(count)]
 
     def act(self, observation: Observation) -> np.ndarray:
-        """Return (N, 18) commands, palm centre [m], home frame, and joints [rad], once the
+        """Return (N, 18) commands, palm center [m], home frame, and joints [rad], once the
         decisions due are made.
         """
         in_play = is_acting(observation.phase) & observation.images[EGO_VIEW].any(
@@ -149,11 +149,11 @@ class VlmClient:
         """Decide for several worlds at the same time.
 
         Args:
-            worlds: the instruction; (18,) palm centre position [m], home frame, and joint angles
+            worlds: the instruction; (18,) palm center position [m], home frame, and joint angles
                 [rad]; and (H, W, 3) uint8 RGB of the hand's camera.
 
         Returns:
-            For each of them, the commands for the next frames, (10, 18) palm centre position [m],
+            For each of them, the commands for the next frames, (10, 18) palm center position [m],
             home frame, and joint angles [rad], one row for each frame of 0.05 s, or None if the
             server gives no valid answer in time; and what the decision took [s].
         """
@@ -280,7 +280,7 @@ class Step(BaseModel):
 
 
 class Frame(BaseModel):
-    """One frame of the rollout: palm centre position [m], home frame, and joint angles [rad]."""
+    """One frame of the rollout: palm center position [m], home frame, and joint angles [rad]."""
 
     hand_params: Annotated[list[FiniteFloat], Field(min_length=HAND_DOF, max_length=HAND_DOF)]
 
@@ -305,7 +305,7 @@ def parse_reply(text: str) -> tuple[np.ndarray, list[tuple[str, int]]]:
     accepted, no other text is.
 
     Returns:
-        (10, 18) float64, palm centre position [m], home frame, and joint angles [rad], finite but
+        (10, 18) float64, palm center position [m], home frame, and joint angles [rad], finite but
         not clipped; and the name of each skill with its duration [frames].
 
     Raises:

@@ -45,7 +45,7 @@ are filled in."""
 
 EXTENDED = """Task: $task
 Input: the RGB image of the camera on the hand, and the current hand state s_t, 18 numbers \
-[x, y, z in metres (from where the palm started, z up), 15 joint angles in radians, 0 open to 1.6 \
+[x, y, z in meters (from where the palm started, z up), 15 joint angles in radians, 0 open to 1.6 \
 closed]: $state
 The order of the joints is $names. The palm faces +x; one frame lasts 0.05 s; the palm moves \
 at most $palm_step m a frame.
@@ -79,7 +79,7 @@ def messages(
         prompt: one of ``PROMPTS``.
         palm_speed_m_s: the palm's greatest speed in the episodes [m/s], which ``extended`` tells.
         task: the instruction.
-        state: (18,) palm centre position [m], home frame, and joint angles [rad].
+        state: (18,) palm center position [m], home frame, and joint angles [rad].
         image: (H, W, 3) uint8 RGB of the hand's camera.
     """
     text = PROMPTS[prompt].substitute(

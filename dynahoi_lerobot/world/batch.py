@@ -25,7 +25,7 @@ class WorldBatch:
     its own episode.
 
     Every array below has one row per world. Rows are independent to the bit: what happens in one
-    depends neither on its neighbours, nor on the size of the batch, nor on the number of threads.
+    depends neither on its neighbors, nor on the size of the batch, nor on the number of threads.
 
     Positions are in the *home frame*: axes of the world, origin at the palm's home in this episode.
     The simulation underneath keeps the world frame; this class converts, commands on their way in
@@ -107,7 +107,7 @@ class WorldBatch:
         there is lost.
 
         Args:
-            state: (N, 18) palm centre position [m], home frame, and joint angles [rad].
+            state: (N, 18) palm center position [m], home frame, and joint angles [rad].
             target_pose_h: (N, 7) position [m], home frame, and quaternion wxyz.
         """
         first = self.scene.target_qpos
@@ -162,7 +162,7 @@ class WorldBatch:
 
     @property
     def state(self) -> np.ndarray:
-        """(N, 18) palm centre position [m], home frame, and joint angles [rad], as measured."""
+        """(N, 18) palm center position [m], home frame, and joint angles [rad], as measured."""
         return self._fields.qpos[:, self.scene.hand_qpos] - self._origin
 
     @property

@@ -49,7 +49,7 @@ class Detector:
 
         Args:
             images: (N, H, W, 3) uint8 RGB.
-            palm: (N, 3) palm centre position [m].
+            palm: (N, 3) palm center position [m].
             ids: (n,) worlds that see.
             frames: (N,) of their episodes.
         """

@@ -21,9 +21,9 @@ class Physics:
     control step.
 
     Attributes:
-        palm_distance_m: (N,) [m], least distance of palm and target centre during the last control
+        palm_distance_m: (N,) [m], least distance of palm and target center during the last control
             step.
-        localized: (N,) bool, the target has been localised in the control phase.
+        localized: (N,) bool, the target has been localized in the control phase.
         released: (N,) bool, the capture rule's event has happened: nothing drives the target any
             more.
         contacts: of shape (N,), what touched the target during the last control step: mean forces

@@ -124,7 +124,7 @@ class Cameras:
 
         Args:
             shown: what ``images`` returned; empty if they are not shown.
-            palm: (N, 3) palm centre position [m].
+            palm: (N, 3) palm center position [m].
             ids: worlds to look at.
         """
         if self._detector is None:
@@ -170,7 +170,7 @@ class Cameras:
         return images
 
     def _motion(self, images: np.ndarray, ids: np.ndarray) -> np.ndarray:
-        """(N, H, W, 3) uint8 grey now, two and four frames ago, of worlds ``ids`` (n,); others are
+        """(N, H, W, 3) uint8 gray now, two and four frames ago, of worlds ``ids`` (n,); others are
         black.
         """
         motion = np.zeros_like(images)

@@ -91,7 +91,7 @@ OPENERS: dict[str, tuple[Callable[[Path], object], list[str]]] = {
         ],
     ),
 }
-"""For each fixture that makes an artefact: what opens it, and its files."""
+"""For each fixture that makes an artifact: what opens it, and its files."""
 PLACES = [
     (artefact, opener, name) for artefact, (opener, names) in OPENERS.items() for name in names
 ]

@@ -75,7 +75,7 @@ def test_a_dataset_with_failures_gives_the_same_metrics_and_fingertip_distances(
     assert_same(tmp_path / "d", episodes)
     for facts, frames in recompute_metrics.episodes_of(tmp_path / "d"):
         computed = recompute_metrics.fingertip_distance_m(facts, frames)
-        # a target that was knocked away is metres off, where float32 keeps fewer digits
+        # a target that was knocked away is meters off, where float32 keeps fewer digits
         np.testing.assert_allclose(
             computed, frames["fingertip_distance"], rtol=1e-7, atol=POSITION_ERROR_M
         )

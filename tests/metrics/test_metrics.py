@@ -272,7 +272,7 @@ def test_legacy_quality_reads_18d_commands_in_units_and_radians():
 
 
 def wild_episode(seed: int):
-    """Return an episode of noise: any path, any joints, localised anywhere or never."""
+    """Return an episode of noise: any path, any joints, localized anywhere or never."""
     rng = np.random.default_rng(seed)
     frames = int(rng.integers(1, 30))
     start = None if rng.random() < 0.3 else int(rng.integers(frames))

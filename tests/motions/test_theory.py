@@ -162,7 +162,7 @@ def test_a_conical_pendulum_circles_at_constant_height_and_rate():
 
 def test_drag_shrinks_the_swing_exponentially():
     """The envelope is exp(-s drag t / 2); s is the share of m l^2 in the inertia, as drag acts on
-    the centre alone.
+    the center alone.
     """
     drawn = draw_motion("damped", 1)
     motion, target = replace(drawn.motion, angle_rad=0.2), drawn.target

@@ -1,4 +1,4 @@
-"""What the ray casters show is what is there, in the colours it has."""
+"""What the ray casters show is what is there, in the colors it has."""
 
 import mujoco
 import numpy as np
@@ -13,7 +13,7 @@ from tests.world.playing import wait, world
 
 SIZE = 64
 SAME_HUE = 0.95
-"""Least cosine between a median colour and the tint it should have: shading changes its brightness,
+"""Least cosine between a median color and the tint it should have: shading changes its brightness,
 not its hue."""
 
 

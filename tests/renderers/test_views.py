@@ -49,7 +49,7 @@ def test_without_soft_light_tiles_draw_what_mujoco_warp_draws(
 
 
 def test_depth_is_the_distance_along_the_axis(batch: WorldBatch) -> None:
-    """The target's nearest pixel lies before its centre, by no more than the largest object is
+    """The target's nearest pixel lies before its center, by no more than the largest object is
     wide.
     """
     labels, depth = batch.cameras.segmentation(), batch.cameras.depth()

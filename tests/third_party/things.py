@@ -46,7 +46,7 @@ SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3}
 
 @object_type("caltrop")
 def caltrop(rng: np.random.Generator) -> ObjectGeometry:
-    """Ten spikes of every shape there is, 1 to 1.2 cm long, all around the centre."""
+    """Ten spikes of every shape there is, 1 to 1.2 cm long, all around the center."""
     size = rng.uniform(0.005, 0.006)
     angles = [2 * np.pi * number / SPIKES for number in range(SPIKES)]
     spikes = [

@@ -201,7 +201,7 @@ def test_a_key_or_address_that_cannot_be_is_refused_unseen(key, url, problem, mo
 
 
 class Remembered:
-    """A client that counts, and moves up by a centimetre a frame, or fails."""
+    """A client that counts, and moves up by a centimeter a frame, or fails."""
 
     def __init__(self, fails: bool = False, took_s: float = 0.0) -> None:
         self.asked, self.fails, self.took_s = [], fails, took_s

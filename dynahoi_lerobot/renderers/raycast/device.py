@@ -37,7 +37,7 @@ def _without_line(holding: bytes) -> Iterator[None]:
 
 
 ensure_caches()
-wp.config.log_level = wp.LOG_WARNING  # before Warp is initialised
+wp.config.log_level = wp.LOG_WARNING  # before Warp is initialized
 with _without_line(NO_CUDA):
     wp.init()
 

@@ -1,4 +1,4 @@
-"""The colour of a row of visible points: textures, sunlight with soft shadows, and light from all
+"""The color of a row of visible points: textures, sunlight with soft shadows, and light from all
 around.
 """
 
@@ -149,7 +149,7 @@ def trace(first_row: int, intrinsics: CameraIntrinsics, worlds: Worlds):
 def render_color(
     first_row: int, intrinsics: CameraIntrinsics, look: Look, textures: Textures, worlds: Worlds
 ):
-    """Write the colours in the middle of the pixels of one row of one tile. Launched as ``trace``,
+    """Write the colors in the middle of the pixels of one row of one tile. Launched as ``trace``,
     after it.
     """
     row, column = wp.tid()
@@ -319,7 +319,7 @@ def _smooth_row(
     y: int,
     column: int,
 ) -> Indices:
-    """Colours of a row, in which pixels on edges are the mean of four samples."""
+    """Colors of a row, in which pixels on edges are the mean of four samples."""
     sharp, smooth = (
         worlds.colors[w, y, column] + Indices(0),
         worlds.colors[w, y, column] + Indices(0),

@@ -44,7 +44,7 @@ class Look:
         fill: RGB of the light from the camera, or from the whole sky if ``soft``.
         fill_wrap: how far beyond a right angle that light reaches, as a cosine; ``sun_wrap``:
             likewise the sun's.
-        pixel_rad: angle between the rays of neighbouring pixels [rad].
+        pixel_rad: angle between the rays of neighboring pixels [rad].
         floor: number of the shape that is the floor, whose frame is the world's.
         room_half_m: distance of the walls from the middle of the room [m].
     """

@@ -4,7 +4,7 @@ geom's own frame.
 Rays are ``o + t * d`` with the origin ``o`` [m] and a direction ``d`` of any length; ``size`` holds
 MuJoCo's half-sizes [m]. Only the point where a ray enters a shape counts, so a camera inside one
 does not see it; a negative t means that the ray does not enter. Nothing here branches on the ray,
-so that a compiler can vectorise over rays.
+so that a compiler can vectorize over rays.
 
 The light is directional and seen as a small disc. How much of it a shape takes follows from how far
 outside the shape's outline, as the light sees it, the ray to the light passes.
@@ -317,7 +317,7 @@ def _beside(along: float, half: float, d1: float, d2: float) -> float:
 @wp.func
 def _covered(radius: float, passing: float, wider: float) -> float:
     """Share of the light's disc behind a disc of this radius, which the ray passes at this distance
-    from its centre.
+    from its center.
     """
     return _half_shadow(passing - radius, wider) * wp.min(radius / (wider + THIN), 1.0)
 

@@ -25,7 +25,7 @@ wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "
 
 @wp.struct
 class Textures:
-    """Grey square textures of one size.
+    """Gray square textures of one size.
 
     Attributes:
         texels: (K * M,) brightness, 0 to 1: texture after texture, level after level, row by row.
@@ -91,7 +91,7 @@ def texel(texels: wp.array[float], start: int, side: int, wrap: int, u: float, v
 
 @functools.cache  # every shard of a dataset has a renderer of its own
 def textures_of(model: mujoco.MjModel, *, filtered: bool) -> Any:
-    """Return the ``Textures`` of a model, whose textures must be square, grey and of one size, on
+    """Return the ``Textures`` of a model, whose textures must be square, gray and of one size, on
     warp's device.
     """
     side = int(model.tex_width[0])

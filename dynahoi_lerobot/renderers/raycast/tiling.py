@@ -82,16 +82,16 @@ class Shape:
     Attributes:
         geom_type: ``mujoco.mjtGeom``.
         size: half-sizes [m], as MuJoCo has them.
-        color_rgb: colour, 0 to 1.
+        color_rgb: color, 0 to 1.
         camera: position of the camera [m].
         from_camera: rotation from the camera's axes.
         to_light: unit vector towards the directional light.
         up: unit vector upwards.
         texture: index, -1 for none.
         repeat: how often the texture repeats along u and v.
-        repeats_per_m: how often it repeats along a metre of the surface, where that is most.
+        repeats_per_m: how often it repeats along a meter of the surface, where that is most.
         alpha: opacity, 0 to 1.
-        specularity: share of the light's specular colour that it reflects.
+        specularity: share of the light's specular color that it reflects.
         bounds: in the image: least and greatest column, then row [px]; inverted if it is not
             visible.
         low, high: corners of a box around it, light frame [m]; inverted if it casts no shadow.
@@ -130,7 +130,7 @@ class Worlds:
         cam_xpos, cam_xmat: (N, cameras) poses, world.
         light_xdir: (N, lights) directions in which light travels, world; of all lights the first
             counts.
-        diffuse, specular: (N, lights) their colours.
+        diffuse, specular: (N, lights) their colors.
         light_camera: (N,) position of the camera [m] in the light frame, whose z axis points
             towards the light.
         light_from_camera: (N,) rotations from the camera's axes to it.

@@ -53,7 +53,7 @@ class Simulated:
 
 
 class DynahoiRobot(Simulated, Robot):
-    """One hand and one moving object; the palm's centre [m], home frame, and 15 joint angles [rad]
+    """One hand and one moving object; the palm's center [m], home frame, and 15 joint angles [rad]
     end in ``.pos``.
 
     An episode begins with the first action after it was laid out; when it is over the world stands

@@ -106,7 +106,7 @@ class ChunkPolicy(PreTrainedPolicy):
 
     @torch.no_grad()
     def select_action(self, batch: dict[str, Any], **kwargs: Any) -> Tensor:
-        """Return the next action, normalised, shape ``(B, A)``; predicts a new chunk when the last
+        """Return the next action, normalized, shape ``(B, A)``; predicts a new chunk when the last
         one is used up.
         """
         if not self._queue:

@@ -16,7 +16,7 @@ class ActionTokensConfig(ChunkConfig):
     Attributes:
         vlm_name: folder or Hub name of any image-text model of `transformers` with its processor,
             or of an OpenVLA checkpoint.
-        unnorm_key: dataset in an OpenVLA checkpoint's ``norm_stats`` whose percentiles normalise
+        unnorm_key: dataset in an OpenVLA checkpoint's ``norm_stats`` whose percentiles normalize
             the actions; None uses those of the training data.
         freeze_vision: whether the vision tower is excluded from training.
     """

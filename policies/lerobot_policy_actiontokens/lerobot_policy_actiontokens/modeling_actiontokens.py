@@ -14,7 +14,7 @@ PROMPT = "{image}In: What action should the robot take to {instruction}?\nOut: "
 VISION = ("vision_model", "vision_tower", "vision_backbone", "visual")
 """Names of the vision tower in models of `transformers`."""
 N_BINS = 256
-"""Actions in [-1, 1] are discretised into tokens, the last ids of the vocabulary (OpenVLA, Section
+"""Actions in [-1, 1] are discretized into tokens, the last ids of the vocabulary (OpenVLA, Section
 3.2)."""
 
 
@@ -81,7 +81,7 @@ class ActionTokensPolicy(ChunkPolicy):
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Any], **kwargs: Any) -> Tensor:
-        """Return a chunk, normalised, shape ``(B, H, A)``, by greedy decoding constrained to action
+        """Return a chunk, normalized, shape ``(B, H, A)``, by greedy decoding constrained to action
         tokens.
         """
         self.eval()
@@ -117,7 +117,7 @@ def encode(values: Tensor, vocabulary: int) -> Tensor:
     """Return the token id of each value; values outside [-1, 1] are clipped.
 
     Args:
-        values: normalised actions, any shape.
+        values: normalized actions, any shape.
         vocabulary: number of tokens of the tokenizer; the ids count down from it.
     """
     return vocabulary - torch.bucketize(
@@ -126,7 +126,7 @@ def encode(values: Tensor, vocabulary: int) -> Tensor:
 
 
 def decode(ids: Tensor, vocabulary: int) -> Tensor:
-    """Return the centre of the bin of each id, in [-1, 1].
+    """Return the center of the bin of each id, in [-1, 1].
 
     Args:
         ids: token ids, any shape.

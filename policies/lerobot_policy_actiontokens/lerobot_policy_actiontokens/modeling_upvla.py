@@ -72,7 +72,7 @@ class UPVLAPolicy(ChunkPolicy):
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Any], **kwargs: Any) -> Tensor:
-        """Return a chunk, normalised, shape ``(B, H, A)``."""
+        """Return a chunk, normalized, shape ``(B, H, A)``."""
         self.eval()
         return self._run(batch[self.camera], batch)[1]
 

@@ -42,7 +42,7 @@ class OpenVLAConfig(PreTrainedConfig):
             patch.
         text_config: config of the language model.
         norm_stats: ``{dataset: {"action": {"q01": [...], "q99": [...], "mask": [...]}}}``, the
-            statistics by which actions were normalised in training.
+            statistics by which actions were normalized in training.
     """
 
     model_type = "openvla"
@@ -139,7 +139,7 @@ class OpenVLAForActionPrediction(PreTrainedModel, GenerationMixin):
 
         Args:
             input_ids: ``(B, L)``, with one image token per patch if an image is given.
-            pixel_values: ``(B, 3 or 6, H, W)``, the normalised images of the towers, concatenated
+            pixel_values: ``(B, 3 or 6, H, W)``, the normalized images of the towers, concatenated
                 along channels.
             attention_mask: ``(B, L)``, 0 where there is padding.
             **kwargs: other inputs of the language model: position_ids, past_key_values, labels, ...
@@ -334,7 +334,7 @@ class PrismaticProcessor:
         return [self.tokenizer.bos_token_id, *patches, *words, *ending]
 
     def _pixels(self, image: Tensor) -> Tensor:
-        """Return the normalised image of every tower, ``(3 per tower, H, W)`` float32."""
+        """Return the normalized image of every tower, ``(3 per tower, H, W)`` float32."""
         strategy = self.image_settings["image_resize_strategy"]
         if strategy != "resize-naive" and image.shape[1] != image.shape[2]:
             raise ValueError(

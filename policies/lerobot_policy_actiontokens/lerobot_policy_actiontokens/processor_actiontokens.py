@@ -32,10 +32,10 @@ def make_actiontokens_pre_post_processors(
 
 
 def action_stats(vlm_name: str, key: str) -> dict[str, torch.Tensor]:
-    """Return the percentiles by which an OpenVLA checkpoint normalised the actions of the dataset
+    """Return the percentiles by which an OpenVLA checkpoint normalized the actions of the dataset
     ``key``.
 
-    Dimensions that its mask excludes were not normalised: their percentiles are -1 and 1.
+    Dimensions that its mask excludes were not normalized: their percentiles are -1 and 1.
 
     Args:
         vlm_name: folder or Hub name of the checkpoint.

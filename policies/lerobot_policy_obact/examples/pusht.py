@@ -23,10 +23,10 @@ from lerobot.datasets.lerobot_dataset import LeRobotDataset
 ENV = "gym_pusht:gym_pusht/PushT-v0"
 IMAGE_PX, LONGEST_STEPS = 96, 200
 STRIDE, CLEARANCE, ARENA = 22.0, 115.0, (20.0, 492.0)
-"""How far the pusher goes in a step, how far from the block's centre it walks around it, and where
+"""How far the pusher goes in a step, how far from the block's center it walks around it, and where
 it may be [px]."""
 BEARINGS, OFFSETS, DEPTHS = 12, (-35.0, 0.0, 35.0), (70.0, 40.0, 10.0)
-"""Pushes that are tried: directions, distances of their line from the block's centre and where they
+"""Pushes that are tried: directions, distances of their line from the block's center and where they
 end before it."""
 RADIAN_PX = 60.0  # an angle of one radian counts as much as so many pixels
 FEATURES = {

@@ -47,7 +47,7 @@ class SpatialAttention(nn.Module):
 
 
 def cell_rays(height: int, width: int, device: torch.device) -> Tensor:
-    """Return the (u, v) of the cells' centres, row by row from the top, shape ``(height * width,
+    """Return the (u, v) of the cells' centers, row by row from the top, shape ``(height * width,
     2)``.
     """
     u = (torch.arange(width, device=device) + 0.5) / width * 2 - 1
@@ -77,7 +77,7 @@ class AgeBias(nn.Module):
 
 
 class TemporalBlock(nn.Module):
-    """Causal self-attention over frames and a perceptron, each after a normalisation; tokens are of
+    """Causal self-attention over frames and a perceptron, each after a normalization; tokens are of
     size ``dim``.
     """
 

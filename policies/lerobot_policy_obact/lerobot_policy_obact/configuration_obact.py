@@ -108,7 +108,7 @@ class ObActConfig(PreTrainedConfig):
     """How the episodes of the dataset were played, as its manifest says, and how to evaluate."""
     rtc_config: RTCConfig | None = None  # real-time chunking, set by LeRobot's rollout
 
-    # images in [0, 1], metres and radians: encoders and heads standardise by themselves
+    # images in [0, 1], meters and radians: encoders and heads standardize by themselves
     normalization_mapping: dict[str, NormalizationMode] = field(
         default_factory=lambda: dict.fromkeys(
             ("VISUAL", "STATE", "ENV", "ACTION"), NormalizationMode.IDENTITY
@@ -280,7 +280,7 @@ class ObActConfig(PreTrainedConfig):
             self.freeze_encoder = bool(self.encoder_options.get("weights"))
 
     def get_optimizer_preset(self) -> AdamWConfig:
-        """Return AdamW as LeRobot builds it when no optimiser is given."""
+        """Return AdamW as LeRobot builds it when no optimizer is given."""
         decay, clip = self.optimizer_weight_decay, self.optimizer_grad_clip_norm
         return AdamWConfig(lr=self.optimizer_lr, weight_decay=decay, grad_clip_norm=clip)
 

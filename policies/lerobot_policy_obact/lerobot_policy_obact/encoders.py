@@ -164,7 +164,7 @@ class Eye(Encoder):
         return self._sighting(images, ray, read, self.fovea / images.shape[-1]), heat
 
     def _crop(self, pixels: Tensor, ray: Tensor) -> Tensor:
-        """Cut squares of ``fovea`` pixels around rays ``(F, 2)``, standardised."""
+        """Cut squares of ``fovea`` pixels around rays ``(F, 2)``, standardized."""
         steps = torch.linspace(-1, 1, self.fovea, device=pixels.device) * (self.fovea - 1)
         height, width = pixels.shape[-2:]
         x, y = (
@@ -245,7 +245,7 @@ ENCODERS: dict[str, type[Encoder]] = {"eye": Eye, "conv": Conv, "transformers": 
 
 
 def conv(n_in: int, n_out: int, stride: int = 1) -> nn.Sequential:
-    """Return a 3 x 3 convolution with normalisation by groups of eight channels, and its
+    """Return a 3 x 3 convolution with normalization by groups of eight channels, and its
     activation.
     """
     return nn.Sequential(

@@ -4,8 +4,8 @@ Its layers are LeRobot's for GR00T N1.7. They are put together here as in the
 ``FlowmatchingActionHead`` of the released ``nvidia/GR00T-N1.5-3B``, with its names and shapes of
 parameters; LeRobot no longer ships that.
 
-**Licence.** The code here is Apache-2.0. The released *weights* are not: they come under NVIDIA's
-own licence, whose terms also bind what is derived from them. Read the model card before you share a
+**License.** The code here is Apache-2.0. The released *weights* are not: they come under NVIDIA's
+own license, whose terms also bind what is derived from them. Read the model card before you share a
 policy that started from them.
 
 What the original does, kept here because its weights expect it:

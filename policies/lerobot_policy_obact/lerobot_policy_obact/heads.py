@@ -167,7 +167,7 @@ class ActionHead(nn.Module):
         return mean, log_scale.clamp(MIN_LOG_SCALE, MAX_LOG_SCALE)
 
     def loss(self, context: Tensor, actions: Tensor, weight: Tensor) -> Tensor:
-        """Return the loss of each row, ``(R,)``, for contexts ``(R, C)``, normalised actions ``(R,
+        """Return the loss of each row, ``(R,)``, for contexts ``(R, C)``, normalized actions ``(R,
         H, A)`` and their weights, 0 for padding, ``(R, H)``.
         """
         mean, log_scale = self.regress(context)

@@ -213,7 +213,7 @@ class ObActPolicy(PreTrainedPolicy):
         return self.average is None or int(self.average.n_averaged) >= steps
 
     def update(self) -> None:
-        """Update the averaged weights after an optimiser step; random first weights are soon
+        """Update the averaged weights after an optimizer step; random first weights are soon
         forgotten.
         """
         if self.average is not None:

@@ -1,6 +1,6 @@
 """Pre- and postprocessing: LeRobot's default pipelines, so that every override of those works.
 
-The config asks for no normalisation: the policy works in metres and radians.
+The config asks for no normalization: the policy works in meters and radians.
 """
 
 from lerobot.processor.factory import make_default_pre_post_processors

@@ -29,7 +29,7 @@ PLANNED_SPEED = 0.85
 it comes too late whenever the forecast was wrong."""
 SLACK = 0.5
 """Within this share of the radius the palm has met the target. Without it, a hand that trails a
-slightly faster target heads for a distant intercept instead of closing the last centimetres."""
+slightly faster target heads for a distant intercept instead of closing the last centimeters."""
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ def test_the_fovea_shows_the_pixels_around_the_point_it_looks_at():
 
 
 def squares(n: int, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """Grey images with a red square in each, which is the larger, the nearer it is; and its offsets
+    """Gray images with a red square in each, which is the larger, the nearer it is; and its offsets
     [m].
     """
     generator = torch.Generator().manual_seed(seed)

@@ -254,7 +254,7 @@ def test_images_and_their_sightings_are_the_same_to_a_frozen_encoder(image_root,
     torch.testing.assert_close(images.state, columns.state)
     assert images.hidden.equal(columns.hidden)
     seen = ~images.hidden
-    # the video is decoded in full colour by one reader and not by the other
+    # the video is decoded in full color by one reader and not by the other
     torch.testing.assert_close(images.sightings[seen], columns.sightings[seen], atol=0.1, rtol=0)
 
 

@@ -43,7 +43,7 @@ WARMUP_UPDATES, GRADIENT_CLIP = 200, 5.0
 
 def sighting_loss(eye: Eye, camera: Pinhole, images: Tensor, place: Tensor) -> Tensor:
     """Return the loss of each image: attention, Laplace likelihood of direction and depth, and
-    error in metres.
+    error in meters.
 
     Args:
         eye: whose loss it is.
