@@ -12,6 +12,8 @@ from torch import Tensor, nn
 
 AGE_STEP_S, N_AGES = 0.05, 128
 """A bias by age is learned at this many ages, this far apart, and interpolated between them."""
+SAME_TIME_S = 1e-3
+"""Frames whose times differ by less are of the same time; none is as fast."""
 KEY_DIM = 16
 
 
@@ -73,7 +75,7 @@ class AgeBias(nn.Module):
             nn.functional.embedding(index, self.table.T) for index in (younger, younger + 1)
         )
         bias = rearrange(torch.lerp(near, far, between), "q k heads -> heads q k")
-        return bias.masked_fill(age_s < -AGE_STEP_S / 2, float("-inf"))
+        return bias.masked_fill(age_s < -SAME_TIME_S, float("-inf"))
 
 
 class TemporalBlock(nn.Module):

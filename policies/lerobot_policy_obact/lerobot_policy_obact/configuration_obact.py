@@ -269,13 +269,12 @@ class ObActConfig(PreTrainedConfig):
             self.relative_dims = min(RELATIVE_DIMS, most)
         allowed = f"0 to {most}, which state and action both have"
         self._require(0 <= self.relative_dims <= most, "relative_dims", allowed)
+        seen = {f"{key.split('.')[-1]}_{x.shape[-1]}" for key, x in self.image_features.items()}
+        pretrained = seen <= SHIPPED.keys()
         if not self.encoder:
-            seen = {
-                (f"{key.split('.')[-1]}_{x.shape[-1]}") for key, x in self.image_features.items()
-            }
-            self.encoder = "eye" if seen <= SHIPPED.keys() else "conv"
-            if self.encoder == "eye" and not self.encoder_options:
-                self.encoder_options = {"weights": f"{{view}}_{EYE_PX}"}
+            self.encoder = "eye" if pretrained else "conv"
+        if self.encoder == "eye" and pretrained and not self.encoder_options:
+            self.encoder_options = {"weights": f"{{view}}_{EYE_PX}"}
         if self.freeze_encoder is None:
             self.freeze_encoder = bool(self.encoder_options.get("weights"))
 

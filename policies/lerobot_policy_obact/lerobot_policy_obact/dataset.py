@@ -100,7 +100,8 @@ def embodiment_of(meta: Any, cameras: list[str]) -> Embodiment:
     # with the palm's displacement as action (control mode grasp), the teachers' answers would be of
     # another kind
     absolute = meta.features[ACTION]["shape"] == meta.features.get(OBS_STATE, {}).get("shape")
-    capture = captures[0] or "" if captures and TARGET_PATH in constants and absolute else ""
+    known = TARGET_PATH in constants and (meta.root / TRUTH).is_dir()
+    capture = captures[0] or "" if captures and known and absolute else ""
     if capture == CONTACT:
         logging.warning("targets must be gripped: only actions are learned")
         capture = ""

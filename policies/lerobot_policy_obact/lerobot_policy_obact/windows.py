@@ -94,7 +94,8 @@ class VirtualHands:
         over, device = targets.free < self.config.n_obs_steps, window.begin.device
         virtual = over | _chance(virtual_share, b, device)
         later = virtual & (over | _chance(LATER_SHARE, b, device))
-        room = (targets.length - n - LATER_FRAMES).clamp_min(0)
+        known = targets.length.clamp_max(targets.path.shape[1])
+        room = (known - n - LATER_FRAMES).clamp_min(0)
         shown = _shown_later(window, (room * torch.rand(b, device=device)).long() * later)
         donors = Donors(window, self.model.forecaster.cameras)
         shown = self._with_palm(shown, donors, self._ways(shown, donors, virtual, later))

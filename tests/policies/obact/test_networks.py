@@ -50,6 +50,13 @@ def test_the_ray_is_that_of_the_cell_attended_to_and_of_two_targets_one_is_looke
     assert torch.allclose(ray, torch.tensor([[-0.625, 0.625]]), atol=1e-3)
 
 
+@pytest.mark.parametrize("fps", [20, 50, 100, 500])
+def test_no_frame_sees_one_ahead_at_any_rate(fps: int):
+    times = torch.arange(8, dtype=torch.double) / fps
+    masked = AgeBias(2)((times[:, None] - times).float()).isinf()
+    assert (masked == torch.ones(8, 8).triu(1).bool()).all()
+
+
 def test_bias_is_interpolated_by_age_and_hides_the_future():
     bias = AgeBias(2)
     bias.table.data = torch.arange(2.0 * N_AGES).view(2, N_AGES)

@@ -151,6 +151,14 @@ def test_after_the_recorded_catch_all_hands_are_virtual():
     assert (shown.frames.palm[:, -1] != window.frames.palm[:, -1]).any(-1).all()
 
 
+def test_a_target_known_for_long_is_shown_within_what_a_window_holds_of_its_path():
+    window = windows()
+    long = replace(window.targets, length=window.targets.length + 500)
+    shown = hands().drawn(replace(window, targets=long), 1.0)
+    assert (shown.begin < window.begin).any()
+    assert (shown.targets.length > LENGTH).all()
+
+
 def test_what_is_shown_later_on_a_path_was_never_hidden():
     window = windows()
     early = torch.arange(LENGTH).expand(64, LENGTH) < 10
