@@ -95,7 +95,7 @@ def test_a_plugin_that_cannot_be_imported_is_a_problem(monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize(
-    ("cores", "share", "minutes"), [(1, 1.0, 9), (2, 1.0, 5), (16, 1.0, 5), (2, 0.5, 10)]
+    ("cores", "share", "minutes"), [(1, 1.0, 11), (2, 1.0, 6), (16, 1.0, 6), (2, 0.5, 12)]
 )
 def test_the_quickstart_takes_as_long_as_where_it_was_timed_by_pace(
     monkeypatch, cores, share, minutes

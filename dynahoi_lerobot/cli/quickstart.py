@@ -52,8 +52,7 @@ SAVES = 10
 POLL_S = 1.0
 """Time between two looks at the files that LeRobot writes."""
 THREADS = {"train": 2, "eval": 1}
-"""Of torch: a training step takes 0.56 s on two cores instead of 0.79 s. Clips are recorded beside
-the evaluation."""
+"""Of torch: a training step takes 0.6 s on two cores. Clips are recorded beside the evaluation."""
 POLICY = "obact"
 """Name of the trained policy's results."""
 
