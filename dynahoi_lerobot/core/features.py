@@ -93,11 +93,6 @@ class Feature:
         return self.key.startswith(OBSERVATION_PREFIX)
 
     @property
-    def optional(self) -> bool:
-        """Whether some recordings do not have it."""
-        return self.needs_contact_sensors or self.on_request
-
-    @property
     def rules_decide(self) -> bool:
         """Whether only the rules tell if a dataset has it, since every episode does."""
         return self.on_request and self.derived

@@ -48,7 +48,7 @@ class ImageSensor(Protocol):
 
         Args:
             sightings: what ``see`` returned.
-            pose: of the camera, (7,), see ``camera_pose``.
+            pose: of the camera, (7,), see `Pinhole.pose`.
             intrinsics: of the camera, (4,) [px].
             carried: whether the hand carries it.
         """

@@ -150,6 +150,16 @@ def require(content: Mapping[str, Any], types: Mapping[str, Any]) -> None:
         validated(hint, content[name], name)
 
 
+def require_schema(path: Path, content: Mapping[str, Any], schema: int, remedy: str) -> None:
+    """Raise a ReadError, which ends in ``remedy``, unless what a file holds is of the ``schema``
+    that is read here.
+    """
+    found = content.get("schema")
+    if type(found) is not int or found != schema:
+        told = f"schema {found!r:.40}" if "schema" in content else "no schema"
+        raise ReadError(f"{path} has {told}, and this version reads schema {schema}; {remedy}")
+
+
 def fits(value: Any, hint: Any) -> bool:
     """Tell whether a value of JSON is of a type such as ``dict[str, list[int]] | None``."""
     try:

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Self, get_type_hints
 
-from dynahoi_lerobot.core.reading import ReadError, read_object, sha256
+from dynahoi_lerobot.core.reading import ReadError, read_object, require_schema, sha256
 from dynahoi_lerobot.dataset.paths import CARD_PATH, MANIFEST_PATH, write_json
 
 SCHEMA = 1
@@ -101,14 +101,7 @@ def check_schema(root: Path) -> None:
     """
     if not (path := root / MANIFEST_PATH).exists():
         return
-    content = read_object(path, {})
-    found = content.get("schema")
-    if type(found) is not int or found != SCHEMA:
-        told = f"schema {found!r:.40}" if "schema" in content else "no schema"
-        raise ReadError(
-            f"{path} has {told}, and this version reads schema {SCHEMA}; generate the dataset "
-            f"again with this version"
-        )
+    require_schema(path, read_object(path), SCHEMA, "generate the dataset again with this version")
 
 
 def file_problems(root: Path, manifest: Manifest) -> Iterator[str]:

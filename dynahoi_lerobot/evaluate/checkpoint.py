@@ -138,8 +138,6 @@ PICKLES = (".bin", ".pt", ".pth", ".pkl", ".ckpt")
 have none."""
 CHECKOUT = Path(__file__).parents[2]
 """Where checkpoints ship, if this package lies in a checkout."""
-ANY_IMAGE = "observation.image"
-"""Keys of a policy's images begin so, whatever their names."""
 VIEW_KEYS = {view: IMAGE_PREFIX + view for view in (EGO_VIEW, *OPTIONAL_VIEWS)}
 """Keys of the images in datasets and environments, by view."""
 REMEDY = (

@@ -30,6 +30,7 @@ from dynahoi_lerobot.core.reading import (
     read_rows,
     reading,
     require,
+    require_schema,
     validated,
 )  # fmt: skip
 from dynahoi_lerobot.core.working_folder import working_folder
@@ -51,6 +52,8 @@ ACTIONS_FILE = "actions.npz"
 SCHEMA = 1
 """What the three files hold. A reader refuses another number. A key or column that may be missing
 is added without changing it, and is ignored by readers that do not know it."""
+OTHER_SCHEMA = "evaluate again with this version, or read it with the version that wrote it"
+"""What to do about results of another schema."""
 
 HEAD_TYPES: dict[str, Any] = (
     {"n": int, "n_success": int, "pc_success_ci95": list[float]}
@@ -368,7 +371,7 @@ def _shared(seeds: Sequence[int], others: Sequence[int]) -> list[int]:
 def _read_head(path: Path) -> dict[str, Any]:
     with reading(path):
         head = {"extra": {}} | read_object(path)
-        _check_schema(path, head)
+        require_schema(path, head, SCHEMA, OTHER_SCHEMA)
         require(head, HEAD_TYPES)
         # not made a Recipe here, which would need every plugin that it names
         require(head["recipe"], get_type_hints(Recipe) | {"rules": dict[str, Any]})
@@ -381,17 +384,6 @@ def _read_head(path: Path) -> dict[str, Any]:
             {name: kind for name, kind in EXTRA_TYPES.items() if name in head["extra"]},
         )
         return head
-
-
-def _check_schema(path: Path, head: Mapping[str, Any]) -> None:
-    """Raise a ReadError unless a file is of the schema that is read here."""
-    found = head.get("schema")
-    if type(found) is not int or found != SCHEMA:
-        told = f"schema {found!r:.40}" if "schema" in head else "no schema"
-        raise ReadError(
-            f"{path} has {told}, and this version reads schema {SCHEMA}; evaluate again with this "
-            f"version, or read it with the version that wrote it"
-        )
 
 
 def _write_rows(path: Path, rows: Sequence[Row]) -> None:
