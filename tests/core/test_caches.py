@@ -60,10 +60,12 @@ def test_nothing_is_said_or_moved_where_the_home_can_be_written(folder: Path) ->
 
 
 def test_a_cache_that_somebody_else_may_have_made_is_not_used(folder: Path) -> None:
-    (folder / f"dynahoi-caches-{os.getuid()}").mkdir()
-    (folder / f"dynahoi-caches-{os.getuid()}").chmod(0o777)
-    (line,) = told(run([*VIEW, "--out", "x.gif"], "/dev/null/home", folder))
-    assert f"dynahoi-caches-{os.getuid()}" not in line.split()[-1]
+    theirs = folder / f"dynahoi-caches-{os.getuid()}"
+    theirs.mkdir()
+    theirs.chmod(0o777)
+    told(run([*VIEW, "--out", "x.gif"], "/dev/null/home", folder))
+    assert not [*theirs.iterdir()]
+    assert [*folder.glob("dynahoi-caches-?*/warp")]
 
 
 @pytest.mark.skipif(os.getuid() != 0 or not shutil.which("setpriv"), reason="needs root")
