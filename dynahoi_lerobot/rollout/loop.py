@@ -130,7 +130,7 @@ class Session:
         If a failed episode is played ``again``, its images need not be rendered.
         """
         recorder = self._recorders.pop(i)
-        episode = recorder.freeze(self.batch, actor, meeting)
+        episode = recorder.freeze(self.batch, i, actor, meeting)
         if not self._render_later or (again and not episode.success):
             return episode
         return replace(episode, images=self.batch.images_of(i, recorder.visual_states))

@@ -187,18 +187,23 @@ class WorldBatch:
         """(N, nq + ngeom) all that an image of a world depends on and an episode changes."""
         return self._fields.visual_state
 
-    def tip_distance(self, ids: np.ndarray | None = None) -> np.ndarray:
-        """Return (n, 5), signed distance of each fingertip to the target's surface [m], negative
-        inside, of worlds ``ids`` (n,) (default: all).
+    def tip_frames(self, ids: np.ndarray) -> np.ndarray:
+        """Return (n, 5 + S, 12) where fingertips and the target's solids are in worlds ``ids``
+        (n,): what ``tip_distance`` and ``fingertips`` compute from, see ``Fingertips.frames``.
         """
-        return self._fingertips.target_distance(np.arange(self.size) if ids is None else ids)
+        return self._fingertips.frames(ids)
 
-    def fingertips(self, ids: np.ndarray | None = None) -> np.ndarray:
-        """Return (n, 30), position [m], home frame, and rotation vector [rad] of each fingertip,
-        of worlds ``ids`` (n,) (default: all).
+    def tip_distance(self, i: int, tip_frames: np.ndarray) -> np.ndarray:
+        """Return (T, 5), signed distance of each fingertip to the surface of the target of world
+        ``i`` [m], negative inside, at (T, 5 + S, 12) ``tip_frames``.
         """
-        chosen = np.arange(self.size) if ids is None else ids
-        return self._fingertips.poses(chosen, self.home_pos_w[chosen])
+        return self._fingertips.target_distance(i, tip_frames)
+
+    def fingertips(self, i: int, tip_frames: np.ndarray) -> np.ndarray:
+        """Return (T, 30), position [m], home frame of world ``i``, and rotation vector [rad] of
+        each fingertip at (T, 5 + S, 12) ``tip_frames``.
+        """
+        return self._fingertips.poses(tip_frames, self.home_pos_w[i])
 
     def observe(self, *, images: bool = True, ids: np.ndarray | None = None) -> Observation:
         """Return what a policy may see.
