@@ -64,6 +64,7 @@ class WorldBatch:
         self.rule, self.control = rules.capture_rule(), rules.control
         self.specs: list[EpisodeSpec | None] = [None] * size
         self.frame, self.attempt = np.zeros(size, int), np.ones(size, int)
+        self._windows = np.zeros(size, int)  # length of each observation window [frames]
         self._origin = np.zeros((size, HAND_DOF))  # homes [m], world, and zero for the joints
         self._batch = Batch(self.scene.model, nsim=size, nthread=threads)
         self._fields = WorldFields(self._batch, self.scene)
@@ -279,9 +280,4 @@ class WorldBatch:
         self._origin[i, :PALM_DOF] = spec.home_pos_w
         self.commands.begin(i, rest, self._origin[i])
         self._fields.qpos[i, self.scene.hand_qpos] = rest + self._origin[i]
-        self.specs[i] = spec
-
-    @property
-    def _windows(self) -> np.ndarray:
-        """(N,) int, length of each world's observation window [frames]."""
-        return np.array([0 if spec is None else spec.window_frames for spec in self.specs])
+        self.specs[i], self._windows[i] = spec, spec.window_frames
