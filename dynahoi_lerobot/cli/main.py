@@ -3,6 +3,7 @@
 import argparse
 import importlib
 import logging
+import os
 import signal
 import sys
 import warnings
@@ -60,7 +61,11 @@ code, or raises what ``exit_code`` puts into a sentence: ValueError, FileExistsE
 FileNotFoundError for bad input, CommandError and OSError for a failure.
 """
 
-FAILED, BAD_INPUT, STOPPED = 1, 2, 130
+FAILED = 1
+BAD_INPUT = 2
+STOPPED = 130
+CLOSED = 141
+"""Exit codes; the last two as shells have them for programs ended by SIGINT and SIGPIPE."""
 EXTRAS = {
     "datatrove": "scale",
     "ray": "scale",
@@ -125,7 +130,12 @@ def exit_code(spoken: str, run: Callable[[], int]) -> int:
     out, err = (cast("TextIO", Terminal(stream)) for stream in (sys.stdout, sys.stderr))
     with redirect_stdout(out), redirect_stderr(err), _left_out_in_one_line(spoken):
         try:
-            return run()
+            code = run()
+            sys.stdout.flush()
+            return code
+        except BrokenPipeError:  # the reader, such as `head`, has had enough
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return CLOSED
         except ModuleNotFoundError as error:
             extra = EXTRAS.get((error.name or "").partition(".")[0])
             remedy = f"which the extra `{extra}` installs" if extra else "which is not installed"
