@@ -304,7 +304,7 @@ def test_training_goes_on_and_begins_from_a_checkpoint(push_root, tmp_path, monk
     state = tmp_path / "first/checkpoints/000004/training_state/training_step.json"
     assert json.loads(state.read_text())["step"] == 4
 
-    options = {"policy.path": first, "policy.optimizer_lr": 0, "policy.push_to_hub": "false"}
+    options = {"policy.path": first, "policy.optimizer_lr": 1e-12, "policy.push_to_hub": "false"}
     options |= {"dataset.repo_id": "local/tiny", "dataset.root": push_root, "steps": 1}
     options |= {"output_dir": tmp_path / "tuned", "batch_size": 2, "num_workers": 0}
     AcceleratorState._reset_state(reset_partial_state=True)
@@ -318,7 +318,7 @@ def test_training_goes_on_and_begins_from_a_checkpoint(push_root, tmp_path, monk
     weights = [name for name in began if not name.startswith("average.")]
     assert weights
     for name in weights:
-        torch.testing.assert_close(tuned[name], began[name], atol=0, rtol=0, msg=name)
+        torch.testing.assert_close(tuned[name], began[name], atol=1e-6, rtol=0, msg=name)
 
 
 def test_images_are_not_decoded_for_frames_to_come(image_root):
