@@ -47,6 +47,7 @@ LEARNED = ("dynahoi_lerobot.env.stable_baselines",)
 """What adapts to Stable-Baselines3, and so imports torch; others import it in functions alone."""
 DOCUMENTED = {
     "lerobot.configs",
+    "lerobot.datasets.dataset_metadata",
     "lerobot.datasets.dataset_tools",
     "lerobot.datasets.lerobot_dataset",
     "lerobot.envs.configs",

@@ -2,8 +2,10 @@
 from.
 """
 
+import importlib
 import json
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -17,7 +19,6 @@ from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot.datasets.video_utils import RGBEncoderConfig
 from lerobot.rl.buffer import ReplayBuffer
 from lerobot.scripts.lerobot_eval import _env_features_to_dataset_features
-from lerobot.utils import import_utils
 from lerobot.utils.collate import lerobot_collate_fn
 
 from dynahoi_lerobot.core.episode import Episode
@@ -179,10 +180,13 @@ def test_opens_and_its_episode_columns_can_be_filtered_and_read(dataset):
 
 
 def test_opening_says_nothing_where_torchcodec_is_unusable(dataset, monkeypatch, caplog):
-    def load(name: str) -> None:
-        raise RuntimeError("Could not load libtorchcodec")
+    def load(name: str, package: str | None = None) -> ModuleType:
+        if name == "torchcodec":
+            raise RuntimeError("Could not load libtorchcodec")
+        return real(name, package)
 
-    monkeypatch.setattr(import_utils.importlib, "import_module", load)
+    real = importlib.import_module
+    monkeypatch.setattr(importlib, "import_module", load)
     open_dataset(dataset)
     assert not caplog.text
     LeRobotDataset(REPO, root=dataset)

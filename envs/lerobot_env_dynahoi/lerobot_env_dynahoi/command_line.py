@@ -89,7 +89,7 @@ def read_launch(*, policy_config: bool = False) -> Launch:
     name = path or given_type("policy") or "policy"
     if path:
         try:
-            folder = described_folder(path)
+            folder = described_folder(path, given("policy.pretrained_revision"))
             told = _rename_map()
             renames = {} if told else renamed(folder)
             rules = trained_for(folder, told or renames)
