@@ -85,7 +85,7 @@ def e_loc(episode: Episode) -> float:
     direction="lower",
     aggregation="mean",
     bounds=(0.0, float("inf")),
-    condition="localised episodes",
+    condition="localized episodes",
 )
 def relative_speed(episode: Episode) -> float | None:
     """Relative speed of palm and target at localization.

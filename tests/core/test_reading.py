@@ -349,6 +349,6 @@ def test_statistics_that_do_not_fit_are_refused(actor: Path, tmp_path: Path) -> 
             {"observation.state": ones | {"mean": torch.zeros(shape)}},
         )
         with pytest.raises(
-            ReadError, match=r"policy_preprocessor\.json normalises observation\.state"
+            ReadError, match=r"policy_preprocessor\.json normalizes observation\.state"
         ):
             play_nothing(folder)

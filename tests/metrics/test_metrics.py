@@ -341,7 +341,7 @@ def test_contact_has_a_hold_and_no_reference_grasp_and_the_other_rules_the_rever
         conditional = {
             name
             for name, entry in METRICS.items()
-            if entry.condition.startswith("localised") and localized_from is None
+            if entry.condition.startswith("localized") and localized_from is None
         }
         apart = OF_THE_REFERENCE_GRASP if capture == "contact" else {"S_hold"}
         assert empty == apart | conditional
