@@ -287,6 +287,19 @@ class ObActPolicy(PreTrainedPolicy):
             self._action_queue.extend(chunk[:, : config.n_action_steps].unbind(1))
         return self._action_queue.popleft()
 
+    def keep_rows(self, rows: Any) -> None:
+        """Go on with the environments of the sorted rows ``(R,)`` of the batch alone; what they do
+        does not depend on the others.
+        """
+        kept = [
+            replace(frame, sightings=frame.sightings[rows], state=frame.state[rows])
+            for frame in self._history
+        ]
+        self._history = deque(kept, maxlen=self._history.maxlen)
+        self._images = {key: images[rows] for key, images in self._images.items()}
+        self._action_queue = deque(actions[rows] for actions in self._action_queue)
+        self._commands = {frame: goals[rows] for frame, goals in self._commands.items()}
+
     def _is_shown_again(self, batch: Batch) -> bool:
         """Whether a batch is the newest frame again."""
         state, images = self._history[-1].state[:, 0], self._images

@@ -537,6 +537,27 @@ def test_the_last_frame_of_the_episode_before_is_forgotten(monkeypatch):
     torch.testing.assert_close(torch.stack(stale[2:]), torch.stack(fresh))
 
 
+def test_rows_that_are_kept_act_as_with_those_that_are_dropped():
+    policy = varied(n_action_steps=2, horizon=4)
+    rows = np.array([0, 2])
+
+    def actions(dropped_after: int) -> torch.Tensor:
+        """Those of both rows in all frames."""
+        policy.reset()
+        found = []
+        for i in range(6):
+            batch = step(policy, n=3, seed=i)
+            if i > dropped_after:
+                batch = {key: values[rows] for key, values in batch.items()}
+            action = policy.select_action(batch)
+            found.append(action if i > dropped_after else action[rows])
+            if i == dropped_after:
+                policy.keep_rows(rows)
+        return torch.stack(found)
+
+    torch.testing.assert_close(actions(2), actions(9), rtol=0, atol=0)
+
+
 def test_real_time_chunking_guides_no_chunk():
     policy = varied(horizon=4, rtc_config=RTCConfig(enabled=True))
     assert supports_rtc_inference(policy)
