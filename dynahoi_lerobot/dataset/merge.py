@@ -172,5 +172,5 @@ def _episode_packets(
 
 
 def _columns(store: Store) -> dict[str, Any]:
-    """Return what is known of the columns of all tables, by key."""
+    """Return the features of the columns of all tables, by key."""
     return store.features | {feature.key: feature for feature in store.privileged.features}

@@ -201,7 +201,7 @@ class DatasetWriter:
         """Append one episode that another dataset of the same features holds, without decoding or
         encoding images.
 
-        ``packets`` are those of each view, none without video.
+        ``packets`` holds the packets of each view, none without video.
 
         Raises:
             TypeError, ValueError: if the row lacks a fact, or a value has the wrong type.
@@ -361,8 +361,8 @@ class DatasetWriter:
         self._pending.clear()
 
     def _stats(self) -> dict[str, Stats]:
-        """Return the dataset's statistics by key: of images from those of episodes, of columns from
-        all frames.
+        """Return the dataset's statistics by key: images' from the statistics of episodes, columns'
+        from all frames.
         """
         stats = {key: pooled(found) for key, found in self._image_stats.items()}
         store, at_once = Store(self.root), max(1, VALUES_AT_ONCE // self.frames)
