@@ -126,7 +126,8 @@ def exit_code(spoken: str, run: Callable[[], int]) -> int:
     """Return the exit code of ``run``, or print in one sentence, after what was ``spoken``, what
     stopped it.
     """
-    out, err = (cast("TextIO", Terminal(stream)) for stream in (sys.stdout, sys.stderr))
+    out = cast("TextIO", Terminal(sys.stdout))
+    err = cast("TextIO", Terminal(sys.stderr))
     with redirect_stdout(out), redirect_stderr(err), _left_out_in_one_line(spoken):
         try:
             code = run()
@@ -138,13 +139,17 @@ def exit_code(spoken: str, run: Callable[[], int]) -> int:
         except ModuleNotFoundError as error:
             extra = EXTRAS.get((error.name or "").partition(".")[0])
             remedy = f"which the extra `{extra}` installs" if extra else "which is not installed"
-            sentence, code = f"it needs {error.name}, {remedy}", BAD_INPUT
+            sentence = f"it needs {error.name}, {remedy}"
+            code = BAD_INPUT
         except (ValueError, FileExistsError, FileNotFoundError) as error:
-            sentence, code = _sentence(error), BAD_INPUT
+            sentence = _sentence(error)
+            code = BAD_INPUT
         except (OSError, CommandError) as error:
-            sentence, code = _sentence(error), FAILED
+            sentence = _sentence(error)
+            code = FAILED
         except KeyboardInterrupt:
-            sentence, code = "interrupted; run the same command to resume", STOPPED
+            sentence = "interrupted; run the same command to resume"
+            code = STOPPED
         print(f"{spoken}: {sentence}", file=sys.stderr)
         return code
 

@@ -2,6 +2,7 @@
 registered.
 """
 
+import os
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -71,8 +72,10 @@ def test_images_are_the_pinned_ones(split: str):
 
 @pytest.mark.slow
 def test_what_others_register_is_played_by_name_and_changes_no_digest(tmp_path: Path):
-    folder = (
-        tmp_path / "dataset"
-    )  # in a process of its own, as what it registers must not reach other tests
-    python("-m", "tests.third_party.by_name", folder, cwd=ROOT, PYTHONPATH=str(ROOT / "benchmarks"))
+    folder = tmp_path / "dataset"
+    # in a process of its own: its entries in registries must not reach other tests
+    path = os.pathsep.join(
+        str(ROOT / name) for name in ("benchmarks", "tests/third_party/lerobot_policy_forward")
+    )
+    python("-m", "tests.third_party.by_name", folder, cwd=ROOT, PYTHONPATH=path)
     assert (folder / "meta" / "info.json").is_file()
