@@ -28,9 +28,7 @@ default_role = "code"
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 4
 nb_execution_mode = "auto"
-nb_execution_excludepatterns = [
-    "notebooks/learn.ipynb"
-]  # minutes of training: its outputs are committed
+nb_execution_excludepatterns = ["notebooks/learn.ipynb"]  # its outputs are committed
 nb_execution_in_temp = True
 nb_execution_timeout = 300
 nb_execution_raise_on_error = True

@@ -15,8 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import torch
-from lerobot.configs import NormalizationMode, PolicyFeature
-from lerobot_policy_obact import ObActConfig
+from lerobot.configs import NormalizationMode, PolicyFeature, PreTrainedConfig
 from safetensors.torch import load_file, save_file
 
 from dynahoi_lerobot.cli.main import main
@@ -37,7 +36,7 @@ from dynahoi_lerobot.dataset.store import Store, open_dataset
 from dynahoi_lerobot.dataset.video import Encoding
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import read_results
-from tests.checkpoints import saved, tiny_diffusion
+from tests.checkpoints import FEATURES, saved, tiny_act, tiny_diffusion
 from tests.dataset.episodes import write
 from tests.synthetic import run_info, synthetic_episode, write_results
 from tests.tools import edit_json
@@ -333,8 +332,9 @@ def test_other_weights_and_sizes_are_refused(actor: Path, tmp_path: Path) -> Non
         (folder / "config.json").write_text(whole)
 
 
-def test_statistics_that_do_not_fit_are_refused(actor: Path, tmp_path: Path) -> None:
-    config = ObActConfig.from_pretrained(actor)
+def test_statistics_that_do_not_fit_are_refused(tmp_path: Path) -> None:
+    act = tiny_act(tmp_path / "act", FEATURES["input_features"])
+    config = PreTrainedConfig.from_pretrained(str(act))
     config.normalization_mapping["STATE"] = NormalizationMode.MEAN_STD
     with pytest.raises(ReadError, match=r"observation\.state"):
         play_nothing(saved(config, tmp_path / "none"))
