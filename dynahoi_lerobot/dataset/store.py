@@ -416,7 +416,8 @@ class Store:
         """Return rows of the frame table that must be the frames of an episode, all of them and in
         order.
         """
-        with reading(path := self.data_path(row)):
+        path = self.data_path(row)
+        with reading(path):
             wanted = np.arange(row["dataset_from_index"], row["dataset_to_index"])
             if not np.array_equal(column_array(table, "index")[:, 0], wanted):
                 raise ReadError(
@@ -428,7 +429,8 @@ class Store:
     def images(self, row: EpisodeRow, table: pa.Table, key: str) -> np.ndarray:
         """Return the episode's images of a view, (T, H, W, 3) uint8 RGB."""
         is_video = key in self.video_keys
-        with reading(path := self.video_path(row, key) if is_video else self.data_path(row)):
+        path = self.video_path(row, key) if is_video else self.data_path(row)
+        with reading(path):
             if is_video:
                 start = round(row[f"videos/{key}/from_timestamp"] * self.fps)
                 shown = decode(path, start, start + row["length"])
@@ -483,10 +485,15 @@ class Store:
         """
         if not self.rows:  # which are checked
             return
-        path, table, used = Path(), pa.table({}), 0
+        path = None
+        table = pa.table({})
+        used = 0
         for row, privileged in zip(self.full_rows(), self.privileged.episodes(), strict=True):
-            if (holder := self.data_path(row)) != path:
-                path, table, used = holder, self.table(holder), 0
+            holder = self.data_path(row)
+            if holder != path:
+                path = holder
+                table = self.table(holder)
+                used = 0
             own = self._own(row, table.slice(used, row["length"]).combine_chunks())
             yield StoredEpisode(row, own, privileged)
             used += row["length"]
