@@ -61,6 +61,8 @@ class ObActConfig(PreTrainedConfig):
     n_future_steps: int = 0
     """Frames after it that a sample shows as well. Through these a palm is rolled out, which needs
     sightings as a column (`dynahoi encode`) and the target's path."""
+    drop_n_last_frames: int = 0
+    """Last frames of a recording from which LeRobot makes no sample: those after the catch."""
     horizon: int = 8  # actions in a predicted chunk, ``H``
     n_action_steps: int = 1  # actions of a chunk that are executed before the policy replans
     inference_delay: int = 0
@@ -136,6 +138,7 @@ class ObActConfig(PreTrainedConfig):
         weights = ("forecast_weight", "action_weight", "closed_loop_weight")
         counts = (
             "n_future_steps",
+            "drop_n_last_frames",
             "inference_delay",
             "n_points",
             "n_layers",

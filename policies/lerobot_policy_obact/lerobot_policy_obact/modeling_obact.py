@@ -297,7 +297,8 @@ class ObActPolicy(PreTrainedPolicy):
         """Return a whole chunk, ``(B, H, A)``; see `observe`.
 
         Its first ``inference_delay`` actions are past when it is there; the others follow from the
-        forecast and from where the palm will be by then.
+        forecast and from where the palm will be by then, or, without a forecast, are those expected
+        of a hand that acts at once.
 
         The previous chunk, which real-time chunking offers as guidance, is ignored. Consecutive
         chunks follow from one history and need none. The head's errors agree over a whole chunk, so
@@ -363,8 +364,11 @@ class ObActPolicy(PreTrainedPolicy):
         later.
         """
         model, frames = self._actor, _joined(self._history)
-        forecast = model.encode_history(frames)[:, 0].later(inference_delay)
-        state, palm = frames.state[:, -1], self._due(inference_delay)
+        # recorded actions, which begin now, were learned from where the palm is now
+        waits = inference_delay if self.config.forecasts else 0
+        palm = self._due(waits) if self.config.forecasts else frames.palm[:, -1]
+        forecast = model.encode_history(frames)[:, 0].later(waits)
+        state = frames.state[:, -1]
         context, origin = model.condition(forecast, palm, state)
         eyes, rays = model.forecaster.sighted(frames)
         seen, sighted = frames.sightings[:, -1], (eyes + rays)[:, -1]
@@ -373,7 +377,7 @@ class ObActPolicy(PreTrainedPolicy):
             seen, sighted, forecast.places, ahead_s, origin[:, 0], forecast.attention
         )
         chunk = model.unnormalise(model.head.sample(context, self._frame), origin).float()
-        delay = min(inference_delay, self.config.horizon - 1)
+        delay = min(waits, self.config.horizon - 1)
         past = chunk[:, :1].expand(-1, delay, -1)
         chunk = torch.cat([past, chunk[:, : self.config.horizon - delay]], dim=1)
         first = self._frame + delay

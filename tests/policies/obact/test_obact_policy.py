@@ -495,6 +495,20 @@ def test_a_chunk_that_is_late_follows_from_the_palm_as_it_will_be(monkeypatch):
     assert (palms[6] - palms[4]).norm(dim=-1).min() > robot.step_m
 
 
+def test_recorded_actions_follow_from_where_the_palm_is_as_in_training():
+    """Whatever is on its way to a hand that acts on commands two frames late."""
+    policy = varied(embodiment=Embodiment(palm_speed_m_s=0.5, delay_frames=2))
+    seen, chunks = [step(policy, seed=i) for i in range(4)], []
+    for before, delay in ((policy.select_action, 0), (policy.observe, 0), (policy.observe, 2)):
+        policy.reset()
+        for i, batch in enumerate(seen[:3]):
+            before(batch | {"timestamp": torch.tensor([i / 20])})
+        newest = seen[3] | {"timestamp": torch.tensor([3 / 20])}
+        chunks.append(policy.predict_action_chunk(newest, delay))
+    assert torch.equal(chunks[0], chunks[1])
+    assert torch.equal(chunks[0], chunks[2])
+
+
 def test_a_decision_tells_what_it_saw_expects_and_attends_to():
     policy = varied()
     assert policy.decision is None
