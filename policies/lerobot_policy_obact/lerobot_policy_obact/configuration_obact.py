@@ -95,7 +95,7 @@ class ObActConfig(PreTrainedConfig):
 
     n_hands: int = 2  # hands that are drawn for each window, see `windows`
     virtual_share: float = 0.8  # share of those that are virtual; others are shown as recorded
-    n_decisions: int = 4  # decisions of a hand at which the losses of forecast and action are taken
+    n_decisions: int = 6  # decisions of a hand at which the losses of forecast and action are taken
     forecast_weight: float = 1.0
     """Weight of the loss of the forecast; 0 learns the recorded actions alone, without the target's
     path."""
@@ -121,7 +121,7 @@ class ObActConfig(PreTrainedConfig):
     optimizer_weight_decay: float = 1e-4
     optimizer_grad_clip_norm: float = 1.0
     scheduler_warmup_steps: int = 100
-    scheduler_decay_steps: int = 1_200
+    scheduler_decay_steps: int = 1_600
 
     def __post_init__(self) -> None:
         super().__post_init__()

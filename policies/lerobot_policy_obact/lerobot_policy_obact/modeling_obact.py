@@ -171,6 +171,9 @@ class ObActPolicy(PreTrainedPolicy):
             "closed_loop": config.closed_loop_weight * self._is_competent(),
         }
         total = torch.stack([weights[name] * loss for name, loss in losses.items()]).sum(0)
+        if self.targets is not None:
+            weight = self.targets.weight[batch["episode_index"].flatten().cpu()].to(total)
+            total = total * weight.repeat_interleave(config.n_hands)
         logged = {name: float(loss.detach().mean()) for name, loss in losses.items()}
         if reduction == "none":
             return rearrange(total, "(b n) -> b n", b=len(batch[ACTION])).mean(1), logged

@@ -37,7 +37,7 @@ when they are taken from one distance to another: 8 % at 0.25 m and 22 % at 0.7 
 
 LED_SHARE = 0.7  # of the virtual hands, that the policy leads
 RECORDED_SHARE = 0.5  # of the others, that go the recorded way; the rest pursues the target
-LATER_SHARE = 0.4
+LATER_SHARE = 0.1
 """Of the virtual hands, whose targets are shown later on their path than they were recorded: no
 recording goes on after a miss."""
 LATER_M = 0.1  # standard deviation of their palms from the target, along each axis

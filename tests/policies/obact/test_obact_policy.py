@@ -6,6 +6,7 @@ import json
 import pickle
 import shutil
 import sys
+from dataclasses import replace
 from itertools import chain, repeat
 from pathlib import Path
 from types import SimpleNamespace
@@ -292,11 +293,25 @@ def test_the_closed_loop_counts_once_it_has_imitated(hand_root):
     batch, losses = batch_of(policy, hand_root), []
     for _ in range(3):
         torch.manual_seed(0)
-        loss, told = policy(batch)
-        losses.append(float(loss) - told["forecast"] - told["action"] - told["missed"])
+        losses.append(float(policy(batch)[0]))
         policy.update()
-    assert losses[:2] == pytest.approx([0, 0], abs=1e-3)
-    assert losses[2] > 0.1
+    assert losses[1] == pytest.approx(losses[0], abs=1e-3)
+    assert losses[2] > losses[0] + 0.1
+
+
+def test_episodes_count_alike_however_many_windows_show_them(hand_root):
+    policy = learner(hand_root, virtual_share=0.0, n_hands=2)
+    targets, batch, losses = policy.targets, batch_of(policy, hand_root), []
+    assert targets.free.unique().numel() > 1
+    torch.testing.assert_close(targets.weight * targets.free, targets.free.float().mean().expand(4))
+    for of_first in (1.0, 3.0):
+        weight = torch.ones(4)
+        weight[batch["episode_index"][0]] = of_first
+        policy.targets = replace(targets, weight=weight)
+        torch.manual_seed(0)
+        losses.append(policy(batch, reduction="none")[0])
+    shares = torch.where(batch["episode_index"] == batch["episode_index"][0], 3.0, 1.0)
+    torch.testing.assert_close(losses[1], losses[0] * shares)
 
 
 def test_each_camera_starts_from_weights_of_its_own():
