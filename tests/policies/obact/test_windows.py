@@ -140,7 +140,8 @@ def test_virtual_hands_wait_until_they_may_move_and_go_no_faster_than_they_can()
     waits = torch.arange(LENGTH - 1) < shown.begin[:, None]
     assert steps.max() <= STEP_M + 1e-5
     assert (steps[waits] == 0).all()
-    assert (steps[~waits] > 0).float().mean() > 0.9
+    # some go the way of the recorded hand, which rests
+    assert (steps[~waits] > 0).float().mean() > 0.8
 
 
 def test_after_the_recorded_catch_all_hands_are_virtual():
