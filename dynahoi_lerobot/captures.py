@@ -94,8 +94,8 @@ class CaptureRule(ABC):
     """Palm center to target center, below which the target is localized [m]; all metrics follow
     it."""
     gantry_speed_m_s: ClassVar[float | None] = None
-    """Speed limit of each axis of the palm's gantry [m/s], where the rule replaces that of the
-    control class."""
+    """Speed limit of each axis of the palm's gantry [m/s], if the rule replaces the control class's
+    limit."""
     uses_contact_sensors: ClassVar[bool] = False
     """Whether events and verdicts are read from what touches the target."""
     hold_frames: ClassVar[int] = 0
@@ -106,8 +106,8 @@ class CaptureRule(ABC):
 
     @classmethod
     def palm_speed_m_s(cls, control: ControlClass) -> float:
-        """Return the palm's greatest speed [m/s]: the control class's, or that of the rule's
-        gantry.
+        """Return the palm's greatest speed [m/s]: the control class's limit, or the limit of the
+        rule's gantry.
         """
         return control.palm_speed_m_s if cls.gantry_speed_m_s is None else cls.gantry_speed_m_s
 

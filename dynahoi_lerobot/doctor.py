@@ -87,8 +87,8 @@ def run(options: Options) -> int:
 
 
 def examine(folder: Path) -> Iterator[Fact]:
-    """Yield the facts of every part, of the disk that of the output ``folder``; a part that raises
-    is a problem.
+    """Yield the facts of every part; the disk is the one that holds the output ``folder``. A part
+    that raises is a problem.
     """
     parts = {
         "processor": processor(),
@@ -320,7 +320,7 @@ def play(count: int) -> Reference:
         images=True,
     )
     episodes = sorted(played, key=lambda episode: episode.meta.seed)
-    computing = LIBRARIES[:4]  # those that compute states and pixels
+    computing = LIBRARIES[:4]  # they compute states and pixels
     machine = ", ".join(
         [platform.machine(), *(f"{library} {version(library)}" for library in computing)]
     )

@@ -41,7 +41,7 @@ class Options:
 
 
 def run(options: Options) -> int:
-    """Encode the dataset, print what was done, and return the exit code."""
+    """Encode the dataset, print a summary, and return the exit code."""
     manifest = encode(options.root, options.out, options.sensor)
     told = {"root": str(options.out), "episodes": manifest.episodes, "frames": manifest.frames}
     print(json.dumps(told | {"sha256": manifest.digest}, indent=2))

@@ -112,7 +112,7 @@ def run(options: Options) -> int:
     for entry in options.folder.rglob("*"):
         if entry.is_symlink():
             raise ValueError(
-                f"{entry} is a link, and what it leads to is not uploaded; put a copy in its place"
+                f"{entry} is a link, and its target is not uploaded; put a copy in its place"
             )
     push = KINDS[kind][1]
     try:
@@ -127,7 +127,7 @@ def run(options: Options) -> int:
 
 
 def kind_of(folder: Path) -> str:
-    """Return what a folder holds: a key of ``KINDS``; ValueError if it is none of them."""
+    """Return the kind of a folder, a key of ``KINDS``; ValueError if it is of no kind."""
     for kind, (file, _) in KINDS.items():
         if (folder / file).exists():
             return kind
@@ -412,7 +412,7 @@ def _replayed(results: Results, count: int | None) -> str:
     empty if it did.
 
     Raises:
-        CommandError: if the results are not those of their commands.
+        CommandError: if the replayed commands give other results.
     """
     if results.info.code != recipe_code(results.recipe()):
         return (
@@ -439,7 +439,7 @@ def variant(results: Results) -> str:
     a part of a split.
 
     Raises:
-        ReadError: if the results do not say what was played.
+        ReadError: if the results do not name their recipe.
         ValueError: if there is no such split, capture rule or control class.
     """
     info = results.info

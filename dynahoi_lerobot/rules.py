@@ -54,7 +54,7 @@ class Rules:
     capture: str = option(
         "attach", "capture rule: attach, attach_lenient or contact", compared=True
     )
-    hand: str = option("", "hand model; by default that of the capture rule", compared=True)
+    hand: str = option("", "hand model; by default the capture rule's", compared=True)
     image_size: int = option(
         DEFAULT_IMAGE_SIZE_PX, "side of the square images [px]; 0 renders none"
     )

@@ -51,7 +51,7 @@ class WorldState:
     """Everything the simulator knows of N worlds at one frame; for experts only.
 
     Attributes:
-        observation: what a policy would see.
+        observation: as a policy would receive it.
         specs: the N episodes being played, None where no world is in use; each knows its untouched
             target's path.
         frame: (N,) int, frame index within the episode.
@@ -110,7 +110,7 @@ class WorldView:
 
     @classmethod
     def of(cls, world: WorldState, i: int, spec: EpisodeSpec) -> Self:
-        """Return what is known of world ``i``, which plays ``spec``."""
+        """Return the state of world ``i``, which plays ``spec``."""
         frame = int(world.frame[i])
         return cls(
             spec=spec,
@@ -150,7 +150,7 @@ class Actor(ABC):
         sees_images: turns rendering on.
         environment_state: the ``environment_state`` that it needs of the rules; empty for none,
             None if it needs one and does not tell which.
-        control_mode: what its commands are, one of ``CONTROL_MODES``; None for what the rules say.
+        control_mode: meaning of its commands, one of ``CONTROL_MODES``; None for the rules' own.
         trained_for: values of fields of the `Rules` that it was trained for, such as
             ``image_size``, as far as it tells.
         views: the views it needs besides ``ego``.
@@ -192,7 +192,7 @@ class Actor(ABC):
         next frame; or (N, 4) in control mode ``grasp``.
 
         Args:
-            observation: what a policy may see.
+            observation: as a policy may see it.
             world_state: gives everything the simulator knows; an `Agent` never calls it.
         """
 
@@ -286,8 +286,8 @@ class Expert(Actor):
         now.
 
         Palm center [m], world, which may lie beyond the reach of one frame, and joint angles [rad].
-        In the observation window it is what the expert would command were control active; after
-        the catch it holds still.
+        In the observation window this is where the hand should be if control were active; after
+        the catch the hand holds still.
         """
         return self.command(world)
 

@@ -1,4 +1,4 @@
-"""Where libraries keep what they compile and download, on a machine that gives this user no home
+"""Where libraries keep compiled code and downloads, on a machine that gives this user no home
 folder to write to, or no name.
 """
 
@@ -20,7 +20,7 @@ READ, READ_IN = "HF_HOME", "huggingface"
 
 def ensure_caches() -> None:
     """Let libraries keep their caches in a temporary folder where the home folder cannot be
-    written, and say so on standard error, once for this process and those that it starts.
+    written, and say so on standard error, once for this process and its children.
 
     Variables that are set stay as they are. A user whom the system has no name for gets one, which
     torch asks for.

@@ -21,7 +21,7 @@ def from_grasp(
 
     Args:
         action: displacements [m] and closing numbers, which are cut to 0 to 1.
-        state: (N, 18) what is observed of the hands, palm [m], home frame, and joints [rad].
+        state: (N, 18) observed state of the hands: palm [m], home frame, and joints [rad].
         open_joints: (15,) of the open hand [rad].
         closed_joints: (15,) of the closed hand [rad].
     """

@@ -64,11 +64,11 @@ class EpisodeMeta:
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """One rollout of T frames at 20 Hz; frame t holds what was seen and what was then commanded.
+    """One rollout of T frames at 20 Hz; frame t holds an observation and the command that followed.
 
     Home frame, SI units. ``state[t]`` is measured at time t * 0.05 s, ``given_action[t]`` is the
-    command given then and ``executed_action[t]`` what the hand executed until frame t + 1; they
-    differ by the control class's latency. The window is frames ``[0, window_frames)``; control
+    command given then and ``executed_action[t]`` the one that the hand executed until frame t + 1;
+    they differ by the control class's latency. The window is frames ``[0, window_frames)``; control
     starts at frame ``window_frames``.
 
     `features.py` has shape, unit, element type and meaning of every array, and so does ``dynahoi

@@ -1,4 +1,4 @@
-"""The one feature table: every array of an episode, and what it is called in each interface.
+"""The one feature table: every array of an episode, and its name in each interface.
 
 Positions are in the home frame: axes of the world (z up, the open palm faces +x), origin where the
 palm's center waits in this episode. Rotations and velocities are along the same axes.
@@ -47,7 +47,7 @@ class Feature:
             has two elements or more, because LeRobot cannot stream windows over one.
         names: of the elements, in order.
         unit: of the elements.
-        meaning: what it is, with its frame of reference.
+        meaning: a description with the frame of reference.
         dtype: element type in ``Episode`` and in the dataset.
         gym_key: key in the Gymnasium observation (``group/key`` if nested); None for privileged
             features.

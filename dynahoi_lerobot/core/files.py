@@ -1,4 +1,4 @@
-"""Writing: unwritable places are refused before the work starts, and what is written is whole."""
+"""Writing: unwritable places are refused before the work starts, and files appear whole."""
 
 import fcntl
 import glob
@@ -23,7 +23,7 @@ def write_atomically(writers: Mapping[Path, Callable[[Path], object]]) -> None:
 
     Args:
         writers: for each path, a function that writes the file to the path it is given. The files
-            are renamed in this order, so the presence of the last implies that of the others.
+            are renamed in this order, so if the last is there, all are.
             Folders are made.
     """
     drafts = {path: path.with_name(f".{path.name}.{os.getpid()}.part") for path in writers}

@@ -3,7 +3,7 @@ on the processor.
 
 BLAS, NumPy (for AVX-512) and the C library (for FMA) have variants of their functions, which round
 differently from one processor to the next. What decides an episode is computed by NumPy's plain
-loops and by the functions here; those of angles take long doubles, of which there is one variant.
+loops and by the functions here; functions of angles use long doubles, which have one variant.
 """
 
 from collections.abc import Callable

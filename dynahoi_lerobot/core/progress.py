@@ -14,7 +14,7 @@ class _Lines(io.TextIOBase):
     """Prints each state of a bar on a line of its own, instead of over the last one."""
 
     def write(self, text: str) -> int:
-        """Print what is not blank."""
+        """Print text that is not blank."""
         if line := text.strip():
             print(line, file=sys.stderr, flush=True)
         return len(text)

@@ -36,11 +36,11 @@ ROWS_AT_ONCE = 64
 
 
 class ReadError(ValueError):
-    """A file that cannot be read, or does not hold what it should; the message is one sentence."""
+    """A file that cannot be read or has the wrong contents; the message is one sentence."""
 
 
 class LeftOut(Warning):
-    """Part of what was to be read is left out and the rest is used; the message is one sentence."""
+    """Part of a file is left out and the rest is used; the message is one sentence."""
 
 
 @contextmanager
@@ -122,7 +122,7 @@ def sha256(path: Path) -> str:
 
 
 def read_json(path: Path) -> Any:
-    """Return what a JSON file holds: finite numbers, and no key twice in one object."""
+    """Return the value in a JSON file: finite numbers, and no key twice in one object."""
     with reading(path):
         return json.loads(
             read_text(path),
@@ -276,7 +276,7 @@ _Loader.add_implicit_resolver(
 
 
 def parsed_yaml(text: str) -> Any:
-    """Return what a text in YAML stands for; raises YAMLError."""
+    """Return the value of a text in YAML; raises YAMLError."""
     return yaml.load(text, _Loader)
 
 

@@ -110,7 +110,7 @@ class Registry[T]:
         """Refuse a name that nothing is registered under, without importing what is.
 
         Raises:
-            UnknownNameError: naming those that there are.
+            UnknownNameError: naming the registered ones.
         """
         known(self.noun, name, dict.fromkeys(self.names()))
 

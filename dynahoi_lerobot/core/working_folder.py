@@ -13,13 +13,13 @@ from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.core.reading import ReadError, read_object
 
 LOCK, TASK = "lock", "plan.json"
-"""Files of a working folder besides the work: what its process holds, and what it is for."""
+"""Files of a working folder besides the work: its process's lock and its task."""
 
 
 @contextmanager
 def working_folder(path: Path, task: dict[str, Any]) -> Iterator[Path]:
-    """Make a folder, or enter that of an interrupted run of the same task, given as JSON values,
-    and hold its lock.
+    """Make a folder, or enter the folder of an interrupted run of the same task, given as JSON
+    values, and hold its lock.
 
     A run that fails before it has made anything leaves no folder.
 
@@ -111,8 +111,8 @@ def _refuse_foreign(path: Path) -> None:
 
 
 def _claim(path: Path, task: dict[str, Any]) -> None:
-    """Write the task into a new folder or compare it with that of an old one; remove drafts of
-    killed processes.
+    """Write the task into a new folder or compare it with the task of an old one; remove drafts
+    of killed processes.
     """
     text = json.dumps(task, indent=4)
     if not (path / TASK).exists():

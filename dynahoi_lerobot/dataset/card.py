@@ -96,7 +96,7 @@ def write_card(store: Store, manifest: Manifest) -> None:
 
 
 def markdown_template(text: str) -> Template:
-    """Return a template that escapes what it is given, unless the template calls it safe."""
+    """Return a template that escapes its values, unless the template calls them safe."""
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(

@@ -103,7 +103,7 @@ def _info(feature: Feature, encoding: Encoding) -> dict[str, Any]:
 
 
 def image_keys(features: Features) -> list[str]:
-    """Return the keys of all images, those of the hand's camera first."""
+    """Return the keys of all images, the hand's camera first."""
     return [key for key in features if key.startswith(IMAGE_PREFIX)]
 
 

@@ -26,7 +26,7 @@ from dynahoi_lerobot.dataset.video import stored_packets
 from dynahoi_lerobot.dataset.writer import DatasetWriter
 from dynahoi_lerobot.sampling.salt import refuse_to_mix
 
-Opened = tuple[Path, Iterator[tuple[int, Packet]]]
+_Opened = tuple[Path, Iterator[tuple[int, Packet]]]
 """A video and its packets from the next one on, numbered."""
 
 
@@ -136,17 +136,17 @@ def _assemble(
             made = DatasetWriter(folder, columns, **options)
         with made as writer:
             for store, kept in chain([(first, kept_of_first)], sources):
-                opened: dict[str, Opened] = {}
+                opened: dict[str, _Opened] = {}
                 with reading(store.root, OSError):
                     for index, stored in enumerate(store.stored_episodes()):
                         if kept is None or index in kept:
-                            writer.copy(store, stored, episode_packets(store, stored.row, opened))
+                            writer.copy(store, stored, _episode_packets(store, stored.row, opened))
             with reading(first.root, OSError):
                 return writer.finish(provenance, dict(yields))
 
 
-def episode_packets(
-    store: Store, row: EpisodeRow, opened: dict[str, Opened]
+def _episode_packets(
+    store: Store, row: EpisodeRow, opened: dict[str, _Opened]
 ) -> dict[str, list[Packet]]:
     """Return the packets of each view of an episode; none without video. Episodes are asked for in
     their order.
@@ -172,5 +172,5 @@ def episode_packets(
 
 
 def _columns(store: Store) -> dict[str, Any]:
-    """Return what is known of the columns of all tables, by key."""
+    """Return the features of the columns of all tables, by key."""
     return store.features | {feature.key: feature for feature in store.privileged.features}

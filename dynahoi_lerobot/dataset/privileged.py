@@ -28,7 +28,7 @@ EPISODE_KEYS = ("episode_index",)
 """Columns by which the rows of either table are found."""
 
 DROPPED = "LeRobot's tools do not keep them; take the dataset from before, or `dynahoi filter`"
-"""What to do about tables that are missing, or are those of other episodes."""
+"""Advice about tables that are missing or belong to other episodes."""
 
 
 def schemas(features: Iterable[Feature]) -> tuple[pa.Schema, pa.Schema]:
@@ -144,7 +144,7 @@ def _with_columns(table: pa.Table, columns: dict[str, np.ndarray]) -> pa.Table:
 
 class PrivilegedTables:
     """The privileged tables of a dataset on disk; one that another tool has edited may have none,
-    or those of other episodes.
+    or the tables of other episodes.
     """
 
     def __init__(self, root: Path, lengths: Callable[[], np.ndarray]) -> None:
@@ -154,7 +154,7 @@ class PrivilegedTables:
         self._root, self._lengths = root, lengths
 
     def files(self) -> tuple[list[Path], list[Path]]:
-        """Return the files of the table of frames and of that of episodes, in order."""
+        """Return the files of the table of frames and of the table of episodes, in order."""
         frames, episodes = (
             sorted((self._root / folder).glob("*/*.parquet"))
             for folder in ("meta/privileged", "meta/privileged_episodes")

@@ -2,8 +2,8 @@
 images.
 
 LeRobot averages the quantiles of episodes, so its ``q01`` of a column depends on how frames were
-grouped. Ours is that of all frames: the smallest value with at least a share q of all values at or
-below it.
+grouped. Ours is taken over all frames: the smallest value with at least a share q of all values at
+or below it.
 """
 
 from collections.abc import Sequence

@@ -252,7 +252,7 @@ class Store:
 
     @property
     def image_keys(self) -> list[str]:
-        """The keys of all images, those of the hand's camera first."""
+        """The keys of all images, the hand's camera first."""
         return image_keys(self.features)
 
     @property

@@ -15,9 +15,7 @@ from typing import Any, Self
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from av.container import OutputContainer
 from av.packet import Packet
-from av.video.stream import VideoStream
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.episode import Episode
@@ -173,9 +171,8 @@ class DatasetWriter:
         self._n_videos = 0
         self._columns = tuple(columns)
 
-    def add(self, episode: Episode, packets: dict[str, list[Packet]] | None = None) -> None:
-        """Append one episode, whose images are encoded, or of which another dataset holds the
-        packets of each view.
+    def add(self, episode: Episode) -> None:
+        """Append one episode, whose images are encoded.
 
         Raises:
             ValueError: if it has other columns than the dataset, or images of another size.
@@ -189,8 +186,7 @@ class DatasetWriter:
         }
         stats = table_stats(arrays) | {key: image_stats(images[key]) for key in self._image_keys}
         row |= episode_table.stats_columns(stats)
-        if packets is None:
-            packets = {key: encode(images[key], self._encoding) for key in self._video_keys}
+        packets = {key: encode(images[key], self._encoding) for key in self._video_keys}
         size = max((frames.shape[1] for frames in images.values()), default=0)
         stream = partial(encoded_stream, encoding=self._encoding, image_size=size)
         self._append(
@@ -205,7 +201,7 @@ class DatasetWriter:
         """Append one episode that another dataset of the same features holds, without decoding or
         encoding images.
 
-        ``packets`` are those of each view, none without video.
+        ``packets`` holds the packets of each view, none without video.
 
         Raises:
             TypeError, ValueError: if the row lacks a fact, or a value has the wrong type.
@@ -314,7 +310,7 @@ class DatasetWriter:
         if not self._videos:
             for key in packets:
                 path = self.limits.path(self.root, paths.VIDEO_PATH, self._n_videos, video_key=key)
-                self._videos[key] = self._open_video(path, stream(key))
+                self._videos[key] = VideoFile(path, stream(key))
             self._n_videos += 1
         start = self._videos[next(iter(packets))].frames
         for key, video in self._videos.items():
@@ -327,11 +323,6 @@ class DatasetWriter:
         return episode_table.video_columns(
             packets, {"chunk_index": chunk, "file_index": file} | times
         )
-
-    def _open_video(
-        self, path: Path, add_stream: Callable[[OutputContainer], VideoStream]
-    ) -> VideoFile:
-        return VideoFile(path, add_stream)
 
     def _fits(self, video: VideoFile, packets: list[Packet]) -> bool:
         size_bytes = video.size_bytes + sum(packet.size for packet in packets)
@@ -370,8 +361,8 @@ class DatasetWriter:
         self._pending.clear()
 
     def _stats(self) -> dict[str, Stats]:
-        """Return the dataset's statistics by key: of images from those of episodes, of columns from
-        all frames.
+        """Return the dataset's statistics by key: images' from the statistics of episodes, columns'
+        from all frames.
         """
         stats = {key: pooled(found) for key, found in self._image_stats.items()}
         store, at_once = Store(self.root), max(1, VALUES_AT_ONCE // self.frames)

@@ -15,7 +15,7 @@ class Worlds(VecEnv):
     """N worlds whose observations are flat vectors.
 
     An episode's last ``info`` has ``terminal_observation``, ``TimeLimit.truncated`` and every
-    metric; seeds are those of ``DynahoiVectorEnv.reset``.
+    metric; seeds mean the same as in ``DynahoiVectorEnv.reset``.
 
     Args:
         env: a ``DynahoiVectorEnv`` without a camera (``image_size=0``), wrapped or not, in the

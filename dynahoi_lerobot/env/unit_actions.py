@@ -19,7 +19,7 @@ UNIT_ACTIONS = spaces.Box(-1.0, 1.0, (PALM_DOF + 1,), np.float32)
 def unit_actions[E: (gym.Env, VectorEnv)](env: E) -> E:
     """Return an environment in control mode ``grasp`` whose actions are four numbers u, -1 to 1.
 
-    The palm's displacement is u[:3] times what it can move in a step, which is 2.5 cm in control
+    The palm's displacement is u[:3] times its largest step, which is 2.5 cm in control
     class ``standard``; ``closing`` is (1 + u[3]) / 2. To catch, ``closing`` must reach 0.81 to 1,
     depending on the object.
 

@@ -121,7 +121,7 @@ class DynahoiVectorEnv(VectorEnv):
 
         Args:
             num_envs: N.
-            recipe: the episodes; by default those of split ``test`` under the default rules.
+            recipe: the episodes; by default split ``test`` under the default rules.
             kind: play this kind of motion only; None for all of the recipe.
             episodes: play the first so many episodes (of the kind) over and over, each of which is
                 drawn once; None for all.
@@ -134,7 +134,7 @@ class DynahoiVectorEnv(VectorEnv):
                 then one call of the policy: some calls only fetch more of a chunk, return the same
                 observation and advance no world.
             max_episode_steps: truncate every episode after so many steps, if it has not ended
-                before; what is cut short is not measured.
+                before; episodes that are cut short are not measured.
             fields: fields of the recipe or its rules to change, such as ``split="val"`` or
                 ``image_size=96``; see ``Recipe`` and ``Rules``.
 
@@ -195,11 +195,11 @@ class DynahoiVectorEnv(VectorEnv):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Begin an episode in every world, or in those of ``reset_mask``.
+        """Begin an episode in every world, or in the worlds of ``reset_mask``.
 
         Args:
             seed: number of the episode within the split (and kind), 0 to 2^40 - 1: one for each
-                world, or that of the first world, from which the others count up; None draws at
+                world, or one for the first world, from which the others count up; None draws at
                 random. Each later episode of a world has its number plus N, modulo 2^40, also after
                 a reset of some worlds with None.
             options: see the class.
@@ -330,7 +330,7 @@ class DynahoiVectorEnv(VectorEnv):
         return frames if self._inference is None else self._inference.calls(frames)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what a copy is made from: the constructor's arguments and gymnasium's ``spec``."""
+        """Return what a copy needs: the constructor's arguments and gymnasium's ``spec``."""
         names = (
             "num_envs", "recipe", "kind", "episodes", "reward", "render_mode", "autoreset_mode",
         )  # fmt: skip
@@ -406,7 +406,7 @@ class DynahoiVectorEnv(VectorEnv):
         return [kind_seed(self.recipe, self.kind, number) for number in within.tolist()]
 
     def _infos(self, ending: np.ndarray, cut: np.ndarray) -> dict[str, Any]:
-        """Finish the episodes of worlds ``ending`` (N,) bool and measure those that were not
+        """Finish the episodes of worlds ``ending`` (N,) bool and measure all that were not
         ``cut`` (N,) bool; return the step's infos, see the class.
         """
         for i in self._session.playing:
@@ -477,7 +477,7 @@ class DynahoiEnv(gym.Env):
     """One hand and one moving object: ``DynahoiVectorEnv`` for a single world, without batch axis
     and autoreset.
 
-    Description, observation, action, reward, episode end and options are those of
+    Description, observation, action, reward, episode end and options are as in
     ``DynahoiVectorEnv``. Info has the same names without the masks, with Python's own scalars; a
     metric is 0 before the end of the episode, and then NaN where it does not apply. After the end
     of an episode the world stands still until ``reset``. Copies (``pickle``, ``deepcopy``) have the
@@ -551,7 +551,7 @@ class DynahoiEnv(gym.Env):
         return self._vector.task_description[0]
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what a copy is made from: the constructor's arguments."""
+        """Return what a copy needs: the constructor's arguments."""
         return {"options": self._options, "spec": self.spec}
 
     def __setstate__(self, state: dict[str, Any]) -> None:

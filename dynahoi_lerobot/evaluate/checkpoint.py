@@ -9,14 +9,12 @@ refused here, and why.
 import inspect
 import logging
 import os
-import re
 import sys
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
 from importlib.util import find_spec
-from math import prod
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -40,9 +38,12 @@ from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.renderers.views import OPTIONAL_VIEWS
 from dynahoi_lerobot.rules import Rules
 
-CONFIG, WEIGHTS, TRAINING = "config.json", "model.safetensors", "train_config.json"
+CONFIG = "config.json"
+WEIGHTS = "model.safetensors"
+TRAINING = "train_config.json"
 PIPELINES = ("policy_preprocessor.json", "policy_postprocessor.json")
-ADAPTER, ADAPTER_WEIGHTS = "adapter_config.json", "adapter_model.safetensors"
+ADAPTER = "adapter_config.json"
+ADAPTER_WEIGHTS = "adapter_model.safetensors"
 """What a folder holds in place of ``WEIGHTS`` if a LoRA adapter was trained (``--peft.*``)."""
 RENAMING = "rename_observations_processor"
 """The processor step that applies LeRobot's ``--rename_map``."""
@@ -61,18 +62,21 @@ POLICY_TYPES = frozenset(
         "smolvla",
         "tdmpc",
         "upvla",
+        "vqbet",
+        "xvla",
     }
-    | {"vqbet", "xvla"}
 )
 """Policies whose own code runs no Python files of the repositories that their configs name."""
-PLUGINS = {"obact": "lerobot_policy_obact"} | dict.fromkeys(
-    ("actiontokens", "upvla"), "lerobot_policy_actiontokens"
-)
+PLUGINS = {
+    "obact": "lerobot_policy_obact",
+    "actiontokens": "lerobot_policy_actiontokens",
+    "upvla": "lerobot_policy_actiontokens",
+}
 """Our distribution that brings a policy type."""
 STEPS = ("lerobot.policies.", "lerobot.processor.")
+"""Modules whose processor steps a checkpoint may name without ``--trust``."""
 LOADING_STEPS = "lerobot.processor.hil_processor"
-"""Modules whose processor steps a checkpoint may name without ``--trust``, and one of which loads a
-second one."""
+"""One of them with a step that loads a second checkpoint."""
 ADAPTER_KEYS = frozenset(
     {
         "alpha_pattern",
@@ -102,24 +106,14 @@ ADAPTER_KEYS = frozenset(
 )
 """Keys of a LoRA adapter's config that say how layers change. Others name modules that PEFT would
 import (``megatron_core``) or files that it would read."""
-LARGEST = {
-    "resize|^num_.*step|iterations": 1024,
-    "shape|chunk|horizon|samples|n_(obs|action)_steps": 10**4,
-    "": 10**7,
-}
-"""Largest number in the config of a policy, by what its key holds: what is repeated or made larger
-for each action."""
-LARGEST_EPS = 0.01
-"""Largest number that a normalizer adds to a deviation."""
-FLOATS, OTHERS = (
-    ("F64", "F32", "F16", "BF16"),
-    {"int64": "I64", "int32": "I32", "uint8": "U8", "bool": "BOOL"},
-)
-"""Types in a file of weights: those that stand for each other, and those of tensors of torch's
-other types."""
-FACTOR, TENSORS, ELEMENTS = 4, 1000, 10**6
-"""A policy may make this many times what its file holds, and so many more: Pi makes its embedding
-four times."""
+MOST = 10**4
+"""Largest whole number in the config of a policy, and longest list, ..."""
+TIMES = 100
+"""... unless the default of its class is large: a number may be so many times that."""
+FLOATS = ("F64", "F32", "F16", "BF16")
+"""Types of numbers in a file of weights that stand for each other."""
+OTHERS = {"int64": "I64", "int32": "I32", "uint8": "U8", "bool": "BOOL"}
+"""Types in the file of tensors of torch's other types."""
 STATISTICS = {
     "MEAN_STD": ("mean", "std"),
     "MIN_MAX": ("min", "max"),
@@ -262,41 +256,26 @@ def load_policy(
     """
     from lerobot.policies.factory import get_policy_class, make_pre_post_processors
 
-    with _remote_code(allowed=trust):
-        config = _config(folder, settings)
-        config.device = device or config.device
-        base = base_folder(folder)
-        stored = tensor_types((base or folder) / WEIGHTS)
-        added = {} if base is None else tensor_types(folder / ADAPTER_WEIGHTS)
-        weights = {folder / WEIGHTS, folder / ADAPTER_WEIGHTS}
-        for file in sorted({*folder.glob("*.safetensors")} - weights):
-            if odd := [
-                name
-                for name, (kind, _) in tensor_types(file).items()
-                if kind not in (*FLOATS, "I64")
-            ]:
-                raise PolicyError(
-                    f"{file} holds {odd[0]!r}, which is no number that statistics have"
-                )
-        overrides = {"device_processor": {"device": str(config.device)}}
-        try:
-            with _no_larger(stored | added):
-                policy = (
-                    get_policy_class(config.type)
-                    .from_pretrained(str(base or folder), config=config)
-                    .eval()
-                )
-                wanted = policy.state_dict()
-                adapted = {} if base is None else _adapt(policy, folder)
-            pipelines = make_pre_post_processors(
-                config, pretrained_path=str(folder), preprocessor_overrides=overrides
-            )
-        except PolicyError:
-            raise
-        except (
-            Exception
-        ) as error:  # whatever a policy or a processor raises when it is made from a bad checkpoint
-            raise PolicyError(f"{folder} cannot be loaded: {reason(error)}") from error
+    if not trust:
+        _refuse_remote_code()
+    config = _config(folder, settings)
+    config.device = device or config.device
+    base = base_folder(folder)
+    stored = tensor_types((base or folder) / WEIGHTS)
+    added = {} if base is None else tensor_types(folder / ADAPTER_WEIGHTS)
+    _check_states(folder)
+    overrides = {"device_processor": {"device": str(config.device)}}
+    try:
+        with _quiet():
+            policy_class = get_policy_class(config.type)
+            policy = policy_class.from_pretrained(str(base or folder), config=config).eval()
+            wanted = policy.state_dict()
+            adapted = {} if base is None else _adapt(policy, folder)
+        pipelines = make_pre_post_processors(
+            config, pretrained_path=str(folder), preprocessor_overrides=overrides
+        )
+    except Exception as error:  # whatever a policy or a processor raises about a bad checkpoint
+        raise PolicyError(f"{folder} cannot be loaded: {reason(error)}") from error
     # a base may hold an average of its weights as well, which an adapter does without
     _check_fit(wanted, stored, (base or folder) / WEIGHTS, surplus_allowed=base is not None)
     _check_fit(adapted, added, folder / ADAPTER_WEIGHTS)
@@ -355,8 +334,8 @@ def trained_for(folder: Path, names: Mapping[str, str] | None = None) -> dict[st
         names: the rename map; by default the checkpoint's own, see ``renamed``.
     """
     names = renamed(folder) if names is None else names
-    config = read_object(file) if (file := folder / CONFIG).exists() else {}
-    training = read_object(file) if (file := folder / TRAINING).exists() else {}
+    config = read_object(folder / CONFIG) if (folder / CONFIG).exists() else {}
+    training = read_object(folder / TRAINING) if (folder / TRAINING).exists() else {}
     with reading(folder / (TRAINING if training else CONFIG)):
         env = training.get("env") or {}
         root = (training.get("dataset") or {}).get("root")
@@ -430,7 +409,8 @@ def _findings(folder: Path) -> Iterator[str]:
         elif file.suffix == ".json":
             held = {key for key, value in _entries(read_json(file)) if key == "auto_map" or value}
             yield from (f"{file} {problem}" for key, problem in CODE_KEYS.items() if key in held)
-    if (kind := str(read_object(folder / CONFIG).get("type"))) not in POLICY_TYPES:
+    kind = str(read_object(folder / CONFIG).get("type"))
+    if kind not in POLICY_TYPES:
         yield (
             f"{folder / CONFIG} is of type {kind!r}, which is not on the list of policies "
             f"known to be safe"
@@ -449,7 +429,8 @@ def _adapter_findings(file: Path) -> Iterator[str]:
         from peft import LoraConfig
     except ImportError as error:
         raise PolicyError(f"playing the adapter {file.parent} needs peft ({error})") from error
-    told, usual = read_object(file), vars(LoraConfig())
+    told = read_object(file)
+    usual = vars(LoraConfig())
     if told.get("peft_type") != "LORA":
         yield f"{file} is of type {told.get('peft_type')!r}, not LORA"
     for key, value in told.items():
@@ -485,50 +466,48 @@ def _pipeline_findings(file: Path) -> Iterator[str]:
     from lerobot.processor import ProcessorStepRegistry
 
     for step in read_object(file, {"steps": list[dict[str, Any]]})["steps"]:
-        name, config = step.get("registry_name", step.get("class")), step.get("config", {})
+        name = step.get("registry_name", step.get("class"))
+        config = step.get("config", {})
         if not isinstance(config, dict):
             raise PolicyError(
                 f"{file} gives the step {name!r} the config {config!r}, which is no mapping"
             )
         known = str(step.get("registry_name")) in ProcessorStepRegistry.list()
         kind: Any = ProcessorStepRegistry.get(step["registry_name"]) if known else object
-        if not kind.__module__.startswith(STEPS) or kind.__module__ == LOADING_STEPS:
+        if kind.__module__.startswith(STEPS) and kind.__module__ != LOADING_STEPS:
+            yield from _step_findings(file, name, kind, config)
+        else:
             yield f"names the processor step {name!r}, which is not one of those known to be safe"
-        elif surplus := sorted(config.keys() - inspect.signature(kind).parameters.keys()):
-            yield f"gives the step {name!r} the key {surplus[0]!r}, which it does not have"
-        elif kind.__module__.startswith(STEPS):
-            with reading(file):
-                hints = get_type_hints(kind if is_dataclass(kind) else kind.__init__)
-                require(config, {key: hints[key] for key in config if key in hints})
         if "state_file" in step:
+            state = step["state_file"]
             try:
-                inside(file.parent, state := step["state_file"])
+                inside(file.parent, state)
             except ReadError:
                 yield f"names the state file {state!r}, which is not inside the checkpoint"
 
 
-@contextmanager
-def _remote_code(*, allowed: bool) -> Iterator[None]:
-    """Close the door through which transformers, if it is installed, runs Python files of
-    repositories or asks to.
-    """
-    if allowed or not find_spec("transformers"):
-        yield
+def _step_findings(file: Path, name: object, kind: Any, config: dict[str, Any]) -> Iterator[str]:
+    """Yield what of a config one of LeRobot's own steps does not have, or would run code for."""
+    parameters = inspect.signature(kind).parameters
+    surplus = sorted(config.keys() - parameters.keys())
+    if surplus:
+        yield f"gives the step {name!r} the key {surplus[0]!r}, which it does not have"
         return
-    from transformers import dynamic_module_utils as door
+    if "trust_remote_code" in parameters and config.get("trust_remote_code") is not False:
+        yield f"gives the step {name!r} no false trust_remote_code, so it may run Python files"
+    with reading(file):
+        hints = get_type_hints(kind if is_dataclass(kind) else kind.__init__)
+        require(config, {key: hints[key] for key in config if key in hints})
 
-    def refuse(name: str, *_: object, **__: object) -> None:
-        raise PolicyError(
-            f"it names {name!r}, which would run code of its own; give --trust if you would "
-            f"run that"
-        )
 
-    opened, asking = door.get_cached_module_file, door.TIME_OUT_REMOTE_CODE
-    door.get_cached_module_file, door.TIME_OUT_REMOTE_CODE = refuse, 0
-    try:
-        yield
-    finally:
-        door.get_cached_module_file, door.TIME_OUT_REMOTE_CODE = opened, asking
+def _refuse_remote_code() -> None:
+    """Let transformers, if it is installed, refuse a repository with code of its own at once,
+    instead of asking at the terminal whether to run it.
+    """
+    if find_spec("transformers"):
+        from transformers import dynamic_module_utils
+
+        dynamic_module_utils.TIME_OUT_REMOTE_CODE = 0  # [s] to wait for an answer
 
 
 # -- what does not fit -----------------------------------------------------------------------------
@@ -538,29 +517,19 @@ def _config(folder: Path, settings: Sequence[str]) -> Any:
     """Open the config, with ``settings`` through LeRobot's own parser."""
     from lerobot.configs import PreTrainedConfig
 
-    told = read_object(folder / CONFIG)
-    for key, value in _entries(told):
-        high = next(most for part, most in LARGEST.items() if re.search(part, key))
-        low = 1 if key == "shape" else -high
-        if isinstance(value, int | float) and not low <= value <= high:
-            raise PolicyError(
-                f"{folder / CONFIG} says {key} is {value}; it must be {low} to {high}"
-            )
-    if (kind := told.get("type")) not in PreTrainedConfig.get_known_choices():
+    file = folder / CONFIG
+    told = read_object(file)
+    kind = told.get("type")
+    if kind not in PreTrainedConfig.get_known_choices():
         package = PLUGINS.get(str(kind), f"lerobot_policy_{kind}")
-        raise PolicyError(
-            f"{folder / CONFIG} is of type {kind!r}, which is not installed: install {package}"
-        )
+        raise PolicyError(f"{file} is of type {kind!r}, which is not installed: install {package}")
     choice = PreTrainedConfig.get_choice_class(str(kind))
+    usual = {entry.name: entry.default for entry in fields(choice)}
+    _check_sizes(file, told, usual)
     hints = get_type_hints(choice)
-    usual = {
-        entry.name: entry.default for entry in fields(choice)
-    }  # which need not be of the declared type
-    with reading(folder / CONFIG):
-        require(
-            told,
-            {name: hints[name] for name in told if name in hints and told[name] != usual.get(name)},
-        )
+    changed = [name for name in told if name in hints and told[name] != usual.get(name)]
+    with reading(file):  # a default need not be of the declared type
+        require(told, {name: hints[name] for name in changed})
     try:
         config = PreTrainedConfig.from_pretrained(str(folder))
     except Exception as error:
@@ -582,36 +551,47 @@ def _config(folder: Path, settings: Sequence[str]) -> Any:
         ) from error
 
 
-@contextmanager
-def _no_larger(stored: Mapping[str, tuple[str, tuple[int, ...]]]) -> Iterator[None]:
-    """Refuse to make a policy larger than its file; a parameter is counted before anything is
-    written into it.
+def _check_sizes(file: Path, told: Mapping[str, Any], usual: Mapping[str, Any]) -> None:
+    """Refuse a config with far larger numbers than the ``usual`` ones of its class: a million
+    layers take hours to build before it shows that the weights do not fit.
     """
-    from torch.nn.modules.module import register_module_parameter_registration_hook
+    for name, value in told.items():
+        default = usual.get(name)
+        most = max(MOST, TIMES * default) if type(default) is int else MOST
+        for count in _counts(value):
+            if count > most:
+                raise PolicyError(f"{file} says {name} is {count}; it must be {most} or less")
 
-    held = sum(prod(shape) for _, shape in stored.values())
-    made = {"tensors": 0, "elements": 0}
 
-    def count(_: object, __: str, tensor: Any) -> None:
-        made["tensors"] += 1
-        made["elements"] += 0 if tensor is None else tensor.numel()
-        if (
-            made["tensors"] > FACTOR * len(stored) + TENSORS
-            or made["elements"] > FACTOR * held + ELEMENTS
-        ):
-            raise PolicyError(
-                f"{CONFIG} describes a larger policy than the {held} weights of {WEIGHTS}"
-            )
+def _counts(value: Any) -> Iterator[int]:
+    """Yield every whole number of a value of JSON, and the length of every list, at any depth."""
+    if type(value) is int:
+        yield value
+    elif isinstance(value, list | dict):
+        yield len(value)
+        for part in value.values() if isinstance(value, dict) else value:
+            yield from _counts(part)
 
-    hook = register_module_parameter_registration_hook(count)
+
+def _check_states(folder: Path) -> None:
+    """Refuse states of processor steps that hold anything but numbers of statistics."""
+    weights = {folder / WEIGHTS, folder / ADAPTER_WEIGHTS}
+    for file in sorted({*folder.glob("*.safetensors")} - weights):
+        for name, (kind, _) in tensor_types(file).items():
+            if kind not in (*FLOATS, "I64"):
+                raise PolicyError(f"{file} holds {name!r}, which is no number that statistics have")
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep LeRobot and torch from warning of weights that `_check_fit` refuses."""
     before = logging.root.manager.disable
-    logging.disable(logging.WARNING)  # what LeRobot and torch warn of, `_check_fit` refuses
+    logging.disable(logging.WARNING)
     try:
         with warnings.catch_warnings(action="ignore"):
             yield
     finally:
         logging.disable(before)
-        hook.remove()
 
 
 def _check_fit(
@@ -624,9 +604,8 @@ def _check_fit(
     """Refuse weights that are missing, surplus or of another shape or kind; of tied weights a file
     holds one.
     """
-    wanted = {
-        name.removeprefix("model."): tensor for name, tensor in state.items()
-    }  # as LeRobot's Pi policies do
+    # as LeRobot's Pi policies do
+    wanted = {name.removeprefix("model."): tensor for name, tensor in state.items()}
     stored = {name.removeprefix("model."): kind for name, kind in types.items()}
     tied = {tensor.data_ptr() for name, tensor in wanted.items() if name in stored}
     missing = [
@@ -666,8 +645,6 @@ def _check_statistics(file: Path, pipeline: Any, config: Any) -> None:
     normalised: dict[str, str] = {}
     known = (config.input_features or {}) | (config.output_features or {})
     for step in (step for step in pipeline.steps if hasattr(step, "norm_map")):
-        if not 0 <= (eps := getattr(step, "eps", 0)) <= LARGEST_EPS:
-            raise PolicyError(f"{file} says eps is {eps}; it must be 0 to {LARGEST_EPS}")
         for key, feature in getattr(step, "features", {}).items():
             if key in known and tuple(feature.shape) != tuple(known[key].shape):
                 raise PolicyError(
@@ -679,14 +656,12 @@ def _check_statistics(file: Path, pipeline: Any, config: Any) -> None:
                 continue
             normalised[key] = mode
             for name in STATISTICS[mode]:
-                if (values := step.stats.get(key, {}).get(name)) is None:
+                values = step.stats.get(key, {}).get(name)
+                if values is None:
                     raise PolicyError(
                         f"{file} normalises {key}, and its statistics lack the {name} of that"
                     )
-                shape, fits = tuple(feature.shape), False
-                with suppress(ValueError):
-                    fits = np.broadcast_shapes(np.shape(values), shape) == shape
-                if not (fits and np.isfinite(values).all()):
+                if not (_broadcasts(values, feature.shape) and np.isfinite(values).all()):
                     raise PolicyError(
                         f"{file} normalises {key} by a {name} that is not finite, or not of its "
                         f"shape"
@@ -698,6 +673,13 @@ def _check_statistics(file: Path, pipeline: Any, config: Any) -> None:
             raise PolicyError(
                 f"{file} normalises {key} by {normalised.get(key)}, and {CONFIG} says {mode}"
             )
+
+
+def _broadcasts(values: Any, shape: Sequence[int]) -> bool:
+    try:
+        return np.broadcast_shapes(np.shape(values), tuple(shape)) == tuple(shape)
+    except ValueError:
+        return False
 
 
 def reason(error: BaseException) -> str:

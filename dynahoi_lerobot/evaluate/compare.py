@@ -16,7 +16,7 @@ from dynahoi_lerobot.metrics import METRICS, Metric
 from dynahoi_lerobot.sampling.salt import refuse_mixed_streams, refuse_to_mix
 
 CROSSABLE = tuple(name for name in CONDITIONS if name != "capture")
-"""Conditions that may be what is compared: the same episodes, played under others. Each capture
+"""Conditions that may be compared: the same episodes, played under others. Each capture
 rule has metrics of its own."""
 
 COMMANDS = "commands"
@@ -51,7 +51,7 @@ class Comparison(Estimate):
 
 
 def unequal_conditions(a: Results, b: Results, across: Collection[str] = ()) -> list[str]:
-    """Return the conditions in which two evaluations differ, without those that are compared,
+    """Return the conditions in which two evaluations differ, without the compared ones,
     ``across``.
     """
     return [
@@ -75,7 +75,7 @@ def compare(
     Args:
         a, b: the evaluations.
         metric: name of a registered metric, or ``commands``.
-        across: conditions that may differ, of ``CROSSABLE``: what is compared.
+        across: the compared conditions, which may differ; of ``CROSSABLE``.
         allow_version_mismatch: compare them even if they were played under different versions of
             the benchmark.
 

@@ -47,7 +47,7 @@ class PolicyAgent(Agent):
     Attributes:
         package: the top-level package of the policy's class.
         seed: of torch's generator at the start of episodes, from which policies draw their noise.
-        thoughts: what the policy has recorded of each decision since then, None where it records
+        thoughts: the policy's record of each decision since then, None where it records
             nothing; None if nobody keeps them.
     """
 
@@ -89,7 +89,7 @@ class PolicyAgent(Agent):
     def reset(self, count: int) -> None:
         """Forget queued actions and history, and seed torch's generator.
 
-        So what a group of episodes draws depends on no group before it, and an interrupted
+        So a group's draws depend on no group before it, and an interrupted
         evaluation goes on alike.
         """
         import torch
@@ -133,11 +133,11 @@ class PolicyAgent(Agent):
         executed: np.ndarray | None = None,
         delays: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return a chunk for each of ``worlds`` (n,), and the seconds that predicting those of all
+        """Return a chunk for each of ``worlds`` (n,), and the seconds that the prediction for all
         worlds took.
 
-        LeRobot predicts the chunks of all worlds together, so what they continue is as old in each
-        of them.
+        LeRobot predicts the chunks of all worlds together, so the chunks that they continue have
+        the same age.
 
         Raises:
             PolicyError: if the policy predicts no chunks.
@@ -245,9 +245,7 @@ def queued_frame(policy: Any, batch: dict[str, Any]) -> dict[str, Any]:
     if OBS_IMAGES in queues:
         images = [batch[key] for key in policy.config.image_features]
         batch = batch | {OBS_IMAGES: torch.stack(images, dim=-4)}
-    if (
-        queues
-    ):  # a policy looks into the queue of every key of the batch, and that of actions may be empty
+    if queues:  # a policy looks into the queue of every key of the batch; the actions' may be empty
         batch = {key: value for key, value in batch.items() if key != ACTION}
     populate_queues(queues, batch)
     return batch

@@ -101,10 +101,10 @@ def drawn(n_rows: int, count: int | None, seed: int) -> list[int]:
 
 
 def open_recipe(results: Results, salt: str = "") -> Recipe:
-    """Return what was played, its salt in place of the salt's hash.
+    """Return the recipe that was played, with its salt in place of the salt's hash.
 
     Raises:
-        ReadError: if the folder does not say what was played.
+        ReadError: if the folder does not name its recipe.
         ValueError: if the results are of another salt.
     """
     recipe = results.recipe()
@@ -133,7 +133,7 @@ def changed_rules(results: Results) -> dict[str, tuple[Any, Any]]:
 
 
 def _unseen_rules(results: Results) -> dict[str, tuple[Any, Any]]:
-    """Return what a result says of its policy that is not as in the benchmark, and that no replay
+    """Return the settings of a result's policy that differ from the benchmark's, and that no replay
     can tell.
     """
     said = {"inference": results.conditions["inference"], "privileged": results.privileged}
@@ -180,7 +180,7 @@ def check_episodes(results: Results, recipe: Recipe, indices: Sequence[int]) -> 
 
 
 def _otherwise(results: Results) -> str:
-    """Return what is not as it was when the results were made, as far as they tell."""
+    """Return what has changed since the results were made, as far as they tell."""
     stored = results.info.extra.get("surroundings")
     if stored is None:
         return "other code, library versions or kind of processor"

@@ -69,7 +69,7 @@ EXTRA_TYPES = {
     "surroundings": dict[str, Any],
     "vlm": dict[str, Any],
 }
-"""Keys of ``metrics.json`` with the types of their values; what is below ``extra`` may be
+"""Keys of ``metrics.json`` with the types of their values; values below ``extra`` may be
 missing."""
 
 CONDITIONS = (*COMPARED, "inference")
@@ -98,7 +98,7 @@ class RunInfo:
 
     Attributes:
         policy: the policy's name or path.
-        recipe: what was played, as ``Recipe.stored`` returns it.
+        recipe: the episodes' recipe, as ``Recipe.stored`` returns it.
         command: the exact command line.
         code: fingerprint of the code that played it.
         extra: further JSON values: ``privileged`` if who moved the hand saw the simulator's state,
@@ -148,11 +148,11 @@ class RunInfo:
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """One evaluation: what was run, and a row and the actions of every episode, no images.
+    """One evaluation: its conditions, and a row and the actions of every episode, no images.
 
     Attributes:
         folder: where it was read from or written to.
-        info: what was evaluated and how.
+        info: the policy and the conditions.
         rows: one row an episode, as ``episode_row`` makes them, by ascending seed, which is the
             order of the split. A metric that was not measured is missing in them.
         actions: one (T, 18) float32 array an episode, palm position [m], home frame, and joint
@@ -175,7 +175,7 @@ class Results:
         of them holds episodes that the other lacks; these are played again.
 
         Raises:
-            ReadError: if what it saved is damaged.
+            ReadError: if a saved file is damaged.
         """
         if not all((folder / name).exists() for name in (EPISODES_FILE, ACTIONS_FILE)):
             return cls(folder, info)
@@ -187,7 +187,7 @@ class Results:
         return cls(folder, info, tuple(kept_rows), tuple(kept_actions))
 
     def plus(self, episodes: Sequence[Episode]) -> Self:
-        """Return these results and those of further ``episodes``, in the order of the split."""
+        """Return these results with further ``episodes``, in the order of the split."""
         rows = [*self.rows, *map(episode_row, episodes)]
         actions = [*self.actions, *(np.array(episode.action, np.float32) for episode in episodes)]
         order = sorted(range(len(rows)), key=lambda i: rows[i]["seed"])
@@ -233,7 +233,7 @@ class Results:
         return self._by[stratum]
 
     def recipe(self) -> Recipe:
-        """Return what was played; ReadError if something that it names does not exist here."""
+        """Return the recipe that was played; ReadError if it names something unknown here."""
         with reading(self.folder / METRICS_FILE):
             return validated(Recipe, self.info.recipe)
 
@@ -295,7 +295,7 @@ def kept_results(folder: Path | None, info: RunInfo) -> Iterator[Results]:
 
     Raises:
         BlockingIOError, FileExistsError: if the folder is not to be had, see ``working_folder``.
-        ReadError: if what was saved is damaged.
+        ReadError: if a saved file is damaged.
     """
     with working_folder(folder, info.task()) if folder else nullcontext():
         yield Results.resumed(folder, info) if folder else Results(Path(), info)
@@ -308,7 +308,7 @@ def read_results(folder: Path) -> Results:
     is registered and not in it is missing in the rows.
 
     Raises:
-        ReadError: one sentence that says what is missing or damaged, or that the folder is of
+        ReadError: one sentence that names the missing or damaged part, or says that it is of
             another schema.
     """
     folder = Path(folder)

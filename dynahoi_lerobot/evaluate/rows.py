@@ -1,4 +1,4 @@
-"""One episode as one row of ``episodes.parquet``: what was played, the groups it counts in, every
+"""One episode as one row of ``episodes.parquet``: its conditions, the groups it counts in, every
 metric; no arrays.
 """
 
@@ -110,7 +110,7 @@ COLUMNS = (
     }
     | dict.fromkeys(STRATA, "string")
 )
-"""Arrow's type of every column but those of the metrics. ``travel_u`` is in u (0.1 m),
+"""Arrow's type of every column except metrics. ``travel_u`` is in u (0.1 m),
 ``grasp_rad`` the mean rotation of a joint from the open hand to the reference grasp,
 ``first_localized`` a frame."""
 METRIC_TYPE = "double"

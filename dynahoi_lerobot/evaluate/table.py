@@ -26,11 +26,11 @@ MAIN_COLUMNS = (
 fails."""
 
 TITLES = ("split", *(name.replace("_", " ") for name in CONDITIONS), "benchmark", "n")
-"""Titles of what is said about an evaluation beside its numbers: under others they do not
+"""Titles of an evaluation's conditions, beside its numbers: under others they do not
 compare."""
 
 FEWEST_MARKED = 20
-"""A row of fewer episodes is neither marked as the best nor compared with those that are."""
+"""A row of fewer episodes is neither marked as the best nor compared with marked rows."""
 
 MOST_COLUMNS = 3
 """So many evaluations stand side by side in a terminal of 100 columns."""
@@ -41,7 +41,7 @@ class Cell:
     """One cell.
 
     Attributes:
-        text: what is printed.
+        text: as printed.
         detail: a smaller line under it.
         key: the number to sort by; None sorts by the text.
         mark: CSS class.

@@ -73,10 +73,10 @@ def run(
     """Generate a dataset and print a JSON summary.
 
     Args:
-        options: what the command line says.
+        options: of the command line.
         record: plays the expert without ``--actor``; ``dynahoi_lerobot.rollout.loop.record`` by
             default.
-        recording: what the options override; the default recording by default.
+        recording: the options override its values; the default recording by default.
 
     Returns:
         The exit code, 0.

@@ -58,8 +58,8 @@ class ClusterResources:
 
 
 def make_shards(maker: ShardMaker, data: Any, rank: int, world_size: int) -> None:
-    """Task ``rank`` of N makes the shards rank, rank + N, rank + 2 N, ...; those that exist are
-    kept.
+    """Task ``rank`` of N makes the shards rank, rank + N, rank + 2 N, ...; existing shards
+    are kept.
 
     Raises:
         CommandError: if this machine has other code than the plan.
@@ -105,8 +105,8 @@ def run(
 
     Args:
         kind: ``local``, ``slurm`` or ``ray``.
-        plan, root, record: as ``pipeline.generate`` takes them, which also says what is raised.
-        resources: what the tasks get.
+        plan, root, record: see ``pipeline.generate``, which also lists the errors.
+        resources: of each task.
 
     Returns:
         True if the dataset is complete now, False if a queue will complete it.

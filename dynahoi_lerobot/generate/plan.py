@@ -135,8 +135,8 @@ class ShardMaker:
         return self.folder / f"{SHARD}{shard:06d}"
 
     def missing(self) -> list[int]:
-        """Return the shards that are not there; those that are have been renamed into place when
-        they were complete.
+        """Return the shards that do not exist yet; a shard is renamed into place when it is
+        complete.
         """
         return [shard for shard in range(self.plan.shards) if not self.path(shard).is_dir()]
 

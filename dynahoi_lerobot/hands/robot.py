@@ -1,7 +1,7 @@
 """Hands of real robots: one class, which mounts a hand of MuJoCo Menagerie on the gantry, and a
 table for each hand.
 
-Fifteen joints flex, the others stay where the table has them. What collides is also what is drawn:
+Fifteen joints flex, the others stay where the table has them. The collision geoms are also drawn:
 the model's primitives, and boxes and capsules around its meshes.
 """
 
@@ -40,7 +40,7 @@ class RobotHand(Hand):
 
     Angles count from the open hand, and positive ones close it: a joint that reaches farther in the
     model's negative direction is turned round. Joints that one tendon of the model pulls follow the
-    mean of what they are told: the motor has one torque for both, and what they touch decides how
+    mean of their commands: the motor has one torque for both, and contact decides how
     they share it.
 
     Attributes:
@@ -225,7 +225,7 @@ def _reduce(robot: mujoco.MjSpec, palm: str, flexing: Mapping[str, str]) -> mujo
 
 
 def _fit_meshes(robot: mujoco.MjSpec) -> mujoco.MjModel:
-    """Put boxes around meshes of the palm, and capsules around those of fingers; return the
+    """Put boxes around meshes of the palm and capsules around meshes of fingers; return the
     compiled model.
     """
     robot.compiler.fitaabb = True

@@ -91,7 +91,7 @@ def relative_speed(episode: Episode) -> float | None:
     """Relative speed of palm and target at localization.
 
     ``relative_speed = |v_target(t - 1) - (palm(t) - palm(t - 1)) / 0.05 s|`` with t the first
-    localized frame. The target's velocity is that of the frame before, because at t a welded target
+    localized frame. The target's velocity is taken one frame earlier, because at t a welded target
     already moves with the palm. None if the target is never localized.
 
     In m/s, lower is better. Ours: ``attach`` catches at any relative speed, which no real hand can.

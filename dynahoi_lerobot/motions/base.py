@@ -50,7 +50,7 @@ class Draw:
         """Draw a speed, or a frequency, angle or distance that decides one.
 
         Uniform in [low, high) where ``speed_scale`` is 1, and otherwise in [high, speed_scale *
-        high), which training never reaches. The unit is that of the bounds.
+        high), which training never reaches. The result has the unit of the bounds.
         """
         if self.speed_scale == 1.0:
             return self.uniform(low, high)

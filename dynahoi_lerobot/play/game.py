@@ -87,7 +87,7 @@ class Game:
         return episode
 
     def _result(self, world: LiveWorld, episode: Episode, practising: bool) -> dict:
-        """Return what the page shows after an episode: metrics and clips of the player and of the
+        """Return the page's summary of an episode: metrics and clips of the player and of the
         others.
         """
         spec, rows = world.spec, [("you", episode)]

@@ -36,7 +36,7 @@ class LiveWorld:
     follows the last one.
 
     Attributes:
-        recipe, kind: what is played.
+        recipe, kind: the episodes to play.
         spec: the episode.
         missed: frames of the control phase of this episode in which no new command came.
         finished: the recording of this episode, once it is over; else None.
@@ -111,7 +111,7 @@ class LiveWorld:
         return max(0.0, self._started_s + (self.batch.frame[0] + 0.5) / CONTROL_HZ - self._clock())
 
     def observe(self, *, images: bool = True) -> Observation:
-        """Return what is seen now, of one world: images (1, H, W, 3), state (1, 18) and so on."""
+        """Return the observation of the one world: images (1, H, W, 3), state (1, 18) and so on."""
         self.catch_up()
         if self._started_s is None:
             self._observed_s = self._clock()
@@ -140,7 +140,7 @@ class LiveWorld:
             self._tick()
 
     def expert_goal(self) -> np.ndarray:
-        """Return (18,) what the capture rule's privileged expert would command now."""
+        """Return (18,) the command that the capture rule's privileged expert would give now."""
         self.catch_up()
         return self._expert.act(self._session.world_state(self._seen))[0]
 

@@ -35,7 +35,7 @@ class Player:
         steering: the latest input.
         sent_ms: the time that the page gave with it, by its own clock [ms]; it is sent back with
             the next image.
-        asked: what the page asks to play, oldest first; None once the page is closed.
+        asked: the page's requests, oldest first; None once the page is closed.
     """
 
     socket: web.WebSocketResponse
@@ -99,7 +99,7 @@ class PlayServer:
         Args:
             game: returns when the player has left.
             host, port: where to listen; port 0 takes a free one.
-            token: what the address must hold; empty for none, on loopback alone.
+            token: required in the address; empty for none, on loopback alone.
 
         Raises:
             ValueError: if others could reach a server without a token.
@@ -182,7 +182,7 @@ class PlayServer:
             await socket.close()
             player.leave()
             try:
-                await game  # it ends by itself once the page is gone, and saves what was played
+                await game  # it ends by itself once the page is gone, and saves the game
             finally:
                 self._playing = None
         return socket

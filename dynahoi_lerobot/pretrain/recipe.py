@@ -18,13 +18,13 @@ class PretrainRecipe:
     """How an eye is trained on random configurations.
 
     Attributes:
-        out: folder that receives the weights, ``log.jsonl`` and what a killed run resumes from.
+        out: folder that receives the weights, ``log.jsonl`` and the state of a killed run.
         camera: whose images it sees, ``ego`` or ``side``.
         eye: options of ObAct's ``Eye``, such as ``weights`` to start from.
         device: of the training.
         workers: processes that render; 0 renders between the updates, in the training's own.
-        episodes: what the images show.
-        hands: names of the hands that take turns from update to update; none for that of
+        episodes: the episodes that the images show.
+        hands: names of the hands that take turns from update to update; none for the hand of
             ``episodes``.
         n_episodes: how many different episodes are shown, with each hand.
         randomized_share: share of those whose appearance is randomized in every way, see

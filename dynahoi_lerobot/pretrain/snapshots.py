@@ -50,7 +50,7 @@ STILL_SHARE, FAST_SHARE = 0.15, 0.2
 """Shares of the other hands that stand still, and of the moving ones that may be fast."""
 PALM_SPEEDS_M_S = [control.palm_speed_m_s for control in CONTROL_CLASSES.values()]
 SLOW_M_S, FAST_M_S = min(PALM_SPEEDS_M_S), max(PALM_SPEEDS_M_S)
-"""Greatest speeds of hands: those of the slowest and the fastest control class."""
+"""Speed limits of the slowest and the fastest control class."""
 WANDER_M = 0.1
 """Standard deviation of the point that a moving hand heads for from the target, along each axis
 [m]."""

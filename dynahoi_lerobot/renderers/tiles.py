@@ -3,7 +3,7 @@ their shapes.
 
 Each frame, every shape is transformed into its own frame, in which rays are cheap to intersect, and
 listed with the image tiles that its bounds overlap. A pixel then tests the shapes of its tile and
-no others; and for shadows those that lie between something its tile shows and the light.
+no others; for shadows it tests the shapes between the surfaces of its tile and the light.
 """
 
 from collections.abc import Mapping, Sequence
@@ -34,7 +34,7 @@ from dynahoi_lerobot.scene.pinhole import Pinhole
 from dynahoi_lerobot.scene.scene import Scene
 
 GROUND_LIGHT, SKY_LIGHT = 0.24, 0.15
-"""Light from below and what the sky adds to it, at a right angle, if the light is soft."""
+"""Light from the ground and the addition of the sky at a right angle, if the light is soft."""
 SUN_WRAP, SKY_WRAP = 0.12, 1.0
 """How far beyond a right angle soft light reaches around a shape, as a cosine."""
 APPEARANCE_FIELDS = {
@@ -61,7 +61,7 @@ class TileRenderer(Renderer):
 
     A directional light with soft shadows, light from the sky and from the ground, darker corners,
     textures that are as sharp as a pixel allows, highlights, one translucent layer, and four
-    samples for pixels on edges. Geom ids and depth are those of ``flat``. The image of a world
+    samples for pixels on edges. Geom ids and depth are as in ``flat``. The image of a world
     depends neither on the other worlds of the batch nor on the number of threads.
     """
 
@@ -151,7 +151,7 @@ class TileRenderer(Renderer):
         self._smoothing = [_recorded(smooth_edges, [0, intrinsics, worlds]) for _ in range(threads)]
 
     def _trace(self, ids: np.ndarray) -> None:
-        """Find what the pixels of worlds ``ids`` (n,) show, in the first n rows."""
+        """Find the shapes that the pixels of worlds ``ids`` (n,) show, in the first n rows."""
         self._mirror.copy(ids)
         _launch(self._placing, len(ids), len(self._shown))
         _launch(self._sorting, len(ids), self._intrinsics.tiles_across**2)

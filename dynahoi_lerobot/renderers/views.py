@@ -67,7 +67,7 @@ OPTIONAL_VIEWS = (*EXTRA_VIEWS, MOTION_VIEW)
 
 
 def _palette(scene: Scene) -> np.ndarray:
-    """(ngeom + 1, 3) uint8 class color of each geom id; the last row is that of a ray that hits
+    """(ngeom + 1, 3) uint8 class color of each geom id; the last row is for a ray that hits
     nothing.
     """
     palette = np.full((scene.model.ngeom + 1, 3), COLORS["surroundings"], np.uint8)

@@ -23,7 +23,7 @@ COMPARED = {
 }
 """What paired evaluations are compared by, with the captions; metrics without pairs are omitted."""
 MARKS = {1: "better", 0: "", -1: "worse"}
-"""CSS class of what a test supports."""
+"""CSS class of a difference that a test supports."""
 
 
 def comparison_tables(entries: Sequence[Entry], across: Collection[str] = ()) -> list[Table]:

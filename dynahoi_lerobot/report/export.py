@@ -1,6 +1,6 @@
 """The tables of a report for a paper: CSV with one number a line, and LaTeX.
 
-Both begin with a comment that names what was played, with seeds, versions and the statistics.
+Both begin with a comment that names the episodes, seeds, versions and statistics.
 """
 
 import csv
@@ -30,7 +30,7 @@ STATISTICS = (
     f"not corrected for the number of comparisons."
 )
 PLAYED = ("split", *CONDITIONS, "benchmark")
-"""Columns that say what was played."""
+"""Columns that describe the episodes played."""
 NUMBERS = ("value", "low", "high", "n", "p_value")
 COLUMNS: tuple[str, ...] = (
     "table",
@@ -52,7 +52,7 @@ def write_csv(entries: Sequence[Entry], path: Path, across: Collection[str] = ()
     """Write one line for each number, which ``pandas.read_csv(path, comment="#")`` reads.
 
     ``table`` is ``main``, ``category`` or ``pair``, whose value is ``policy`` minus ``against``.
-    Conditions are those of ``policy``. Fractions are from 0 to 1. A metric that does not apply has
+    Conditions are ``policy``'s. Fractions are from 0 to 1. A metric that does not apply has
     an empty value and n = 0.
     """
 
@@ -180,7 +180,7 @@ def _latex_table(data: Table) -> str:
 
 
 def _head(titles: Sequence[str]) -> Iterator[str]:
-    """Yield a row of titles, and one of what is behind their commas if there is any."""
+    """Yield a row of titles, and a second row for the text after their commas if any."""
     parts = [title.partition(", ") for title in titles]
     yield _row(typeset(title) for title, _, _ in parts)
     if any(rest for _, _, rest in parts):

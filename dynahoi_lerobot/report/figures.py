@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 WIDTH_IN = 12.0
-"""Width of every figure [inch], that of the page's column."""
+"""Width of every figure [inch]: the width of the page's column."""
 PANELS_PER_ROW = 5
 LEGEND_COLUMNS = 4
 INK = "#0a0b0c"
@@ -149,7 +149,7 @@ def legend_height_in(entries: Sequence[Entry]) -> float:
 
 
 def legend(drawing: Figure, entries: Sequence[Entry], *, bars: bool = False) -> None:
-    """Put labels with their marks, those of lines or of ``bars``, above the axes."""
+    """Put labels with the marks of their lines or ``bars`` above the axes."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 

@@ -174,7 +174,7 @@ def glossary() -> Table:
 
 def facts(info: RunInfo) -> dict[str, str]:
     """Return the recipe of an evaluation and what ``RunInfo.extra`` tells of it, in words; nothing
-    of what is empty.
+    of empty parts.
     """
     told = {"recipe": info.recipe} | info.extra
     words = {key: in_words(value) for key, value in told.items()}

@@ -122,7 +122,7 @@ class RealTimeAgent(Agent):
         self.reset(0)
 
     def reset(self, count: int) -> None:
-        """Forget everything, also what is being inferred."""
+        """Forget everything, including inferences under way."""
         self._agent.reset(count)
         self._frame = 0
         self._running: list[Chunk | None] = [None] * count

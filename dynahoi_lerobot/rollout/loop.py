@@ -32,7 +32,7 @@ class Session:
 
     Attributes:
         batch: the worlds.
-        observation: what was seen last, of all worlds.
+        observation: the last observation of all worlds.
     """
 
     def __init__(
@@ -74,10 +74,10 @@ class Session:
         """Record what was observed, and move the worlds that play by one frame.
 
         Args:
-            commands: (N, 18), or (N, 4) in control mode ``grasp``, of all worlds; those of worlds
-                that do not play are ignored.
-            labels: (N, 18) what a teacher wants from this frame; None without a teacher.
-            control_mode: of the commands; by default that of the rules.
+            commands: (N, 18), or (N, 4) in control mode ``grasp``, of all worlds; the rows of
+                worlds that do not play are ignored.
+            labels: (N, 18) commands that a teacher wants at this frame; None without a teacher.
+            control_mode: of the commands; by default the rules' own.
 
         Returns:
             (N,) bool each: worlds in which the capture rule has settled the outcome, and others
@@ -215,7 +215,7 @@ def record_on_policy(
     threads: int = 0,
     images: bool = True,
 ) -> Iterator[Episode]:
-    """Yield the episodes of ``seeds`` in their order, those that the policy fails included.
+    """Yield the episodes of ``seeds`` in their order, including failed ones.
 
     Args:
         recording: with an ``actor``, whose states its expert labels.
@@ -296,7 +296,7 @@ class ActionLog:
 
 
 class Replayer(Agent):
-    """Repeats given commands, those of one log a world, whatever it sees."""
+    """Repeats given commands, one log a world, whatever it sees."""
 
     name = "player"
     control_mode = JOINTS
@@ -323,8 +323,8 @@ def played_again(recording: Recording, recorded: Episode) -> Episode | None:
     """Return what recording the episode's seed gives now; None if the expert does not manage it.
 
     Nothing but its seed matters, or in an on-policy recording the commands given, in the policy's
-    place. The images are those of an environment that is given the commands, so that a recording
-    that shows something else is found.
+    place. The images come from an environment that executes the commands, so that a recording that
+    shows something else is found.
     """
     seed = recorded.meta.seed
     if recording.actor:
@@ -347,7 +347,7 @@ def replay(
     of the logs.
 
     Args:
-        recipe: what was played.
+        recipe: the episodes that were played.
         logs: one an episode; all are played side by side.
         images: whether to draw the views of the rules, if there are any, frame by frame.
         as_evaluated: whether an episode ends when an evaluation ends it, before a log that

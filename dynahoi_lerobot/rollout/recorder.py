@@ -67,7 +67,7 @@ JUDGED = ("state", "localized", "palm_distance_m", *CONTACTS)
 def measure_frame(
     batch: WorldBatch, observation: Observation, ids: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Return what is recorded of worlds ``ids`` (n,) at this frame besides images, (n, ...) each,
+    """Return the arrays of worlds ``ids`` (n,) at this frame besides images, (n, ...) each,
     by name in ``Episode``.
     """
     features = frame_features(0, contact_sensors=batch.rule.uses_contact_sensors)
@@ -107,7 +107,7 @@ class WorldRecorder:
         """Record a frame.
 
         Args:
-            frame: what was measured, and ``action``, ``given_action`` and ``executed_action`` of
+            frame: the measurements, and ``action``, ``given_action`` and ``executed_action`` of
                 the step from it.
             images: (H, W, 3) uint8 by view, if any.
         """
@@ -203,7 +203,7 @@ def _typed(value: Any, feature: Feature) -> Any:
 
 
 def episode_meta(job: Job, rules: Rules, agent: str) -> EpisodeMeta:
-    """Return what the episode of a job is, played by an agent under ``rules``."""
+    """Return the facts of a job's episode, played by an agent under ``rules``."""
     spec = job.spec
     return EpisodeMeta(
         seed=spec.seed,
@@ -256,7 +256,7 @@ def episode_constants(
 
 
 def object_constants(motion: Motion, target: TargetObject) -> dict[str, Any]:
-    """Return what is known of the target besides its motion; SI units."""
+    """Return the properties of the target besides its motion; SI units."""
     launch = motion.launch(target)
     own = target.friction if launch.friction is None else launch.friction
     struck = () if launch.striker is None else (launch.striker,)

@@ -32,7 +32,7 @@ class Recording:
     """
 
     recipe: Recipe = field(default_factory=Recipe)
-    expert: str = option("", "demonstrating expert; by default that of the capture rule")
+    expert: str = option("", "demonstrating expert; by default the capture rule's")
     perturbed_share: float = option(
         0.5,
         "share of episodes in which the palm is pushed off course at times, if the expert can "
@@ -64,7 +64,7 @@ class Recording:
 
     @classmethod
     def of(cls, **values: Any) -> Self:
-        """Return a recording with values for some of its fields and of those of its recipe and
+        """Return a recording with values for some fields of its own, of its recipe and of its
         rules.
 
         Raises:

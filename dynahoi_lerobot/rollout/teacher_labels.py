@@ -112,7 +112,7 @@ class Labelled(Actor):
         name: str = "",
         perturbed_share: float = 0.0,
     ) -> None:
-        """Let ``teacher`` label what ``agent`` does, or else what it does itself.
+        """Let ``teacher`` label the frames that ``agent`` plays, or else its own.
 
         Args:
             teacher: if an agent moves the hand, one that ``labels_any_state``.

@@ -25,7 +25,7 @@ class SpecsAhead:
         Args:
             recipe: what to draw from.
             threads: for rolling targets ahead, of episodes that are wanted at once.
-            keep: whether to keep what was drawn, to draw each episode once.
+            keep: whether to keep the episodes, to draw each once.
         """
         self._recipe, self._threads, self._keep = recipe, max(1, threads), keep
         self._pool = ThreadPoolExecutor(1, "episodes")  # starts no thread before it has work
@@ -47,7 +47,7 @@ class SpecsAhead:
         return [known[seed] for seed in seeds]
 
     def prepare(self, seeds: Sequence[int]) -> None:
-        """Begin to draw the episodes of ``seeds``, and forget what was prepared besides."""
+        """Begin to draw the episodes of ``seeds``, and forget all others."""
         wanted = dict.fromkeys(seed for seed in seeds if seed not in self._kept)
         for seed, future in self._coming.items():
             if seed not in wanted:

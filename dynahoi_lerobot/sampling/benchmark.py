@@ -142,7 +142,7 @@ class Benchmark:
     Attributes:
         version: results of different versions cannot be compared.
         rules: clocks, window, thresholds and limits of the hand.
-        look: version of what the default renderer draws of hand, target and surroundings.
+        look: version of the default renderer's drawing of hand, target and surroundings.
         splits: by name.
         durations: of L, the length of an expert's recording [frames].
         travels: of the straight distance from the hand's home to the intercept [m].

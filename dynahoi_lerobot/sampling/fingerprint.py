@@ -41,7 +41,7 @@ DECIDING = (
     "rollout",
     "dataset",
 )
-"""Rooms that decide what is in a dataset; all others read datasets, play policies or spread
+"""Packages that decide a dataset's contents; all others read datasets, play policies or spread
 work."""
 DECIDING_MODULES = ("__init__.py", "captures.py", "rules.py", "generate/plan.py")
 """Modules outside them that do, too."""

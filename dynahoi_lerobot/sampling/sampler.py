@@ -101,7 +101,7 @@ class Candidate:
     seed decides.
 
     Attributes:
-        recipe, seed: what the episode is a function of.
+        recipe, seed: they determine the episode.
         kind: its kind of motion; kinds take turns with the seed.
         rng: the episode's random numbers.
         timing: frames and travel last drawn.

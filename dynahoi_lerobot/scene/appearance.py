@@ -193,7 +193,7 @@ def set_apart(
 
 
 def _warm(turn: float) -> float:
-    """Hue from a uniform draw, 0 to 1: every second one that of wood or stone."""
+    """Return a hue from a uniform draw, 0 to 1; half of the hues are those of wood or stone."""
     return 0.03 + 0.2 * turn if turn < 0.5 else 2.0 * turn - 1.0
 
 

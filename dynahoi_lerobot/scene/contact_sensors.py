@@ -24,7 +24,7 @@ class TargetContacts:
 
     Attributes:
         finger_force_n: (..., 5) magnitude of the net force of each finger on the target [N].
-        palm_force_n: (...) that of the palm [N].
+        palm_force_n: (...) magnitude of the net force of the palm on the target [N].
         others: (...) number of contacts with anything but fingers and palm.
     """
 
@@ -33,7 +33,7 @@ class TargetContacts:
     others: np.ndarray
 
     def __getitem__(self, part: slice) -> Self:
-        """Return those of some rows of the first axis."""
+        """Return the contacts of some rows of the first axis."""
         return type(self)(self.finger_force_n[part], self.palm_force_n[part], self.others[part])
 
     @property

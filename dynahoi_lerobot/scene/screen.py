@@ -236,8 +236,8 @@ _EXTENTS = {
 
 
 def stands_clear(panel: Box, spec: EpisodeSpec, meeting: int, radius_m: float) -> bool:
-    """Tell whether a panel across x stands in nobody's way, ``radius_m`` being that of a sphere
-    around the target.
+    """Tell whether a panel across x stands in nobody's way; a sphere of ``radius_m`` encloses the
+    target.
 
     All of the open hand keeps clear on its way to where a fast hand meets the target, at frame
     ``meeting``, and the palm center also on the way to the episode's intercept.

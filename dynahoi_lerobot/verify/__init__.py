@@ -1,5 +1,6 @@
 """Verification of a dataset on disk, and a filter of outliers.
 
-What is verified: the files are the ones that were made (`files`), verdicts follow from the columns
-(`verdicts`), and, on request, episodes follow from their seeds (`replay`).
+Verified are the files, which must be the signed ones (`files`); that LeRobot reads them (`format`);
+that verdicts follow from the columns (`verdicts`); and that episodes follow from their seeds
+(`replay`).
 """

@@ -18,20 +18,20 @@ from dynahoi_lerobot.dataset.manifest import ENCODED, Manifest, has_own_card
 from dynahoi_lerobot.dataset.paths import CARD_PATH, MANIFEST_PATH
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.rollout.recording import Recording
-from dynahoi_lerobot.verify.files import (
-    edited,
-    file_problems,
+from dynahoi_lerobot.verify.files import edited, file_problems, unreadable
+from dynahoi_lerobot.verify.format import (
+    column_problems,
     format_problems,
-    unreadable,
-    video_problems,
+    manifest_problems,
+    statistics_problems,
 )
-from dynahoi_lerobot.verify.meta import meta_problems
 from dynahoi_lerobot.verify.replay import replay_problems, seed_problems
-from dynahoi_lerobot.verify.verdicts import verdict_problems
+from dynahoi_lerobot.verify.verdicts import derived_problems, verdict_problems
 
-SHOWN, LONGEST = 5, 600
-"""Findings of a claim that are reported, the rest are counted; characters of a finding that are
-shown."""
+SHOWN = 5
+"""Findings of a claim that are reported; the rest are counted."""
+LONGEST = 600
+"""Characters of a finding that are shown."""
 
 
 @dataclass(frozen=True)
@@ -123,23 +123,22 @@ def verify(
     except ValueError as error:
         return [Finding("files", str(error)), *_guarded("files", unreadable(store))]
     findings = _guarded("files", file_problems(store, manifest))
-    if broken := _guarded("files", unreadable(store)):
+    broken = _guarded("files", unreadable(store))
+    if broken:
         return broken + findings
-    if (sentence := edited(store, manifest)) is not None or manifest is None:
-        return [
-            *findings,
-            Finding("files", str(sentence)),
-            *_guarded("format", format_problems(store)),
-        ]
+    sentence = edited(store, manifest)
+    if sentence is not None or manifest is None:
+        findings.append(Finding("files", str(sentence)))
+        return findings + _guarded("format", format_problems(store, note))
     if CARD_PATH in manifest.files and not has_own_card(root, manifest):
         note(f"{CARD_PATH} is not the one that was written with the dataset, so it was not checked")
     encoded = ENCODED in manifest.provenance
+    problems = [format_problems(store, note), manifest_problems(store, manifest)]
     if encoded:
         note("its images were encoded: check and replay the dataset that it was made from, too")
-        problems = format_problems(store)
     else:
-        problems = chain(meta_problems(store, manifest), video_problems(store))
-    findings += _guarded("format", problems)
+        problems += [column_problems(store), statistics_problems(store)]
+    findings += _guarded("format", chain.from_iterable(problems))
     recording = _recording(manifest)
     findings += _guarded("seeds", seed_problems(store, manifest, recording, note))
     findings += _guarded("verdicts", _verdicts(store, recording, progress))
@@ -168,7 +167,10 @@ def _verdicts(
         where = f"episode {stored.row['episode_index']}: "
         try:
             episode = store.as_episode(stored, images=False)
-            problems = list(verdict_problems(episode, hand))
+            problems = [
+                *verdict_problems(episode, hand),
+                *derived_problems(store.features, stored.frames, episode),
+            ]
         except (LookupError, ValueError, TypeError) as error:
             problems = [f"it cannot be judged: {type(error).__name__}: {error}"]
         yield from (where + problem for problem in problems)
@@ -189,11 +191,11 @@ def drawn_evenly(store: Store, count: int, rng: np.random.Generator) -> list[int
     """Return ``count`` indices of episodes (all if there are fewer), divided evenly among the kinds
     of motion.
     """
-    order = rng.permutation(store.episodes)
     turns: Counter[str] = Counter()
     ranked = []
-    for index in order:
-        ranked.append((turns[motion := store.rows[index]["motion"]], int(index)))
+    for index in rng.permutation(store.episodes).tolist():
+        motion = store.rows[index]["motion"]
+        ranked.append((turns[motion], index))
         turns[motion] += 1
     return sorted(index for _, index in sorted(ranked, key=lambda pair: pair[0])[:count])
 

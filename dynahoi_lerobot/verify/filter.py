@@ -46,7 +46,8 @@ def run(options: Options) -> int:
         )
     episodes = Store(options.root).episodes
     outliers = {} if options.drop else find_outliers(options.root, options.margin, options.column)
-    if unknown := sorted(set(options.drop) - set(map(str, range(episodes)))):
+    unknown = sorted(set(options.drop) - set(map(str, range(episodes))))
+    if unknown:
         raise ValueError(
             f"--drop names episode {unknown[0][:40]!r}; {options.root} has 0 to {episodes - 1}"
         )
@@ -97,7 +98,8 @@ def find_outliers(root: Path, margin: float = MARGIN, column: str = "action") ->
         raise ValueError(
             f"{column} is often not finite, so it has no robust range; see `dynahoi verify {root}`"
         )
-    low, high = q01 - margin * (q99 - q01), q99 + margin * (q99 - q01)
+    low = q01 - margin * (q99 - q01)
+    high = q99 + margin * (q99 - q01)
     names = store.features[column].get("names")
     if names is None or not fits(names, list[str]) or len(names) != len(low):
         names = range(len(low))

@@ -12,15 +12,13 @@ from typing import Any
 
 import cv2
 import numpy as np
-import pyarrow as pa
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import FEATURES, IMAGE_PREFIX
 from dynahoi_lerobot.core.numerics import TOLERANCE
-from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.manifest import Manifest
-from dynahoi_lerobot.dataset.store import Store
+from dynahoi_lerobot.dataset.store import Store, StoredEpisode
 from dynahoi_lerobot.dataset.video import VideoFile, decode, encode, encoded_stream, stored_packets
 from dynahoi_lerobot.rollout.loop import played_again
 from dynahoi_lerobot.rollout.recorder import Job, episode_constants, episode_meta
@@ -33,9 +31,10 @@ from dynahoi_lerobot.world.batch import WorldBatch
 AT_ONCE = 64
 PLAYED = ("first_plan",)
 """Constants of an episode that depend on who plays it."""
-MEAN_LEVELS, BLOCK_LEVELS = 2.0, {12: 16.0, 2: 64.0}
-"""Greatest mean difference of an image, and of a square of so many pixels wherever it lies [levels
-of 255]."""
+MEAN_LEVELS = 2.0
+"""Greatest mean difference of an image [levels of 255]."""
+BLOCK_LEVELS = {12: 16.0, 2: 64.0}
+"""Greatest mean difference of a square of so many pixels, wherever it lies [levels of 255]."""
 
 
 def seed_problems(
@@ -49,7 +48,8 @@ def seed_problems(
 
     ``note`` is told in a sentence why that could not be checked, if so.
     """
-    plan, seeds = manifest.provenance, [row["seed"] for row in store.rows]
+    plan = manifest.provenance
+    seeds = [row["seed"] for row in store.rows]
     if recording is None:
         return note("no recipe is known, so nothing was compared with the seeds")
     kept = plan.get("kept", range(plan["episodes"]))
@@ -64,7 +64,8 @@ def seed_problems(
         return note(
             "its episodes are hidden behind a salt, so nothing else was compared with the seeds"
         )
-    batch, episodes = WorldBatch(recipe.rules, 1), store.stored_episodes()
+    batch = WorldBatch(recipe.rules, 1)
+    episodes = store.stored_episodes()
     for first in range(0, len(seeds), AT_ONCE):
         for offset, spec in enumerate(
             sample_specs(recipe, seeds[first : first + AT_ONCE], threads=0)
@@ -93,13 +94,12 @@ def differences(made: Mapping[str, Any], stored: Mapping[str, Any]) -> Iterator[
         values = np.asarray(one, FEATURES[name].dtype)
         if values.shape != np.shape(other):
             yield f"{name} of shape {values.shape}; stored is {np.shape(other)}"
-        elif not (apart := np.abs(values.astype(float) - other)).max(initial=0.0) <= TOLERANCE:
-            first = (
-                int((~(apart.reshape(len(apart), -1).max(axis=1) <= TOLERANCE)).argmax())
-                if apart.ndim
-                else 0
-            )
-            yield f"another {name} from row {first} on, up to {float(apart.max()):.2g} apart"
+            continue
+        apart = np.abs(np.atleast_1d(values).astype(float) - other)
+        beyond = ~(apart <= TOLERANCE)
+        if beyond.any():
+            first = np.argwhere(beyond)[0][0]
+            yield f"another {name} from row {first} on, up to {apart.max():.2g} apart"
 
 
 def replay_problems(
@@ -112,15 +112,18 @@ def replay_problems(
 
     ``note`` is told in a sentence what was found equal, and that other code made the dataset.
     """
-    made_with, here = Manifest.read(store.root).provenance.get("code"), code_fingerprint()
+    made_with = Manifest.read(store.root).provenance.get("code")
+    here = code_fingerprint()
     if made_with != here:
         note(f"made by other code ({made_with}, here is {here}), so that it may play differently")
-    videos = equal = 0
+    videos = 0
+    equal = 0
     for index in indices:
         rows = store.stored(index)
-        row, table = rows.row, rows.frames
+        row = rows.row
         stored = store.as_episode(rows, images=False)
-        if (made := played_again(recording, stored)) is None:
+        made = played_again(recording, stored)
+        if made is None:
             yield f"episode {index}: the expert does not manage seed {row['seed']}"
             continue
         problems = differences(_content(made) | {"code": made_with}, _content(stored))
@@ -133,9 +136,11 @@ def replay_problems(
                     f"{None if view is None else view.shape}"
                 )
                 continue
-            again, stored_images, same = _both(view, store, row, table, key)
-            videos, equal = videos + 1, equal + same
-            if problem := None if same else _apart(again, stored_images):
+            again, stored_images, same = _both(view, store, rows, key)
+            videos += 1
+            equal += same
+            problem = None if same else _apart(again, stored_images)
+            if problem:
                 yield f"{key} of episode {index} {problem}"
     note(f"{equal} of the {videos} videos replayed are equal byte for byte")
 
@@ -147,7 +152,7 @@ def _content(episode: Episode) -> dict[str, object]:
 
 
 def _both(
-    made: np.ndarray, store: Store, row: EpisodeRow, table: pa.Table, key: str
+    made: np.ndarray, store: Store, rows: StoredEpisode, key: str
 ) -> tuple[np.ndarray, np.ndarray, bool]:
     """Return an episode's images of a view, (T, H, W, 3) uint8, as they are made again and as they
     are stored.
@@ -155,10 +160,12 @@ def _both(
     What is made again is encoded with the codec's recorded settings and decoded, too. The third
     value tells whether both are stored in the same bytes.
     """
-    stored = store.images(row, table, key)
+    row = rows.row
+    stored = store.images(row, rows.frames, key)
     if key not in store.video_keys:
         return made, stored, np.array_equal(made, stored)
-    encoding, start = store.encoding, round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ)
+    encoding = store.encoding
+    start = round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ)
     with TemporaryDirectory() as folder:
         again = Path(folder) / "again.mp4"
         video = VideoFile(

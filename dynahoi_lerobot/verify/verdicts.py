@@ -1,4 +1,4 @@
-"""Fourth claim: verdicts and metrics follow from the columns.
+"""Claim of the verdicts: verdicts and metrics follow from the columns.
 
 States give fingertips; poses and solids give distances; distances give localization and contacts;
 these and the capture rule give the verdict. Metrics are computed from these columns whenever they
@@ -9,12 +9,21 @@ from collections.abc import Iterator
 
 import mujoco
 import numpy as np
+import pyarrow as pa
 
 from dynahoi_lerobot.captures import CAPTURES, CaptureRule, Track
 from dynahoi_lerobot.core.conventions import CONTROL_DT, FINGERS
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.numerics import matrix_to_rotvec, quat_to_matrix, segment_distance
-from dynahoi_lerobot.core.protocols import CONTROL_CLASSES, one_hot_phase
+from dynahoi_lerobot.core.protocols import CONTROL_CLASSES, is_acting, one_hot_phase
+from dynahoi_lerobot.dataset.columns import (
+    LANGUAGE,
+    Features,
+    column_array,
+    content_arrays,
+    described_features,
+    subtask_rows,
+)
 from dynahoi_lerobot.dataset.quality_control import not_finite
 from dynahoi_lerobot.objects.primitives import from_table
 from dynahoi_lerobot.rollout.recorder import TOUCH_M, next_frames
@@ -32,6 +41,8 @@ releases the target, the step is simulated twice (0.002 m seen)."""
 BELOW_M = 0.006
 """How far a least distance lies below the straight line between two frames, beyond what changing
 velocities explain."""
+DERIVED_TOLERANCE = 1e-6
+"""Of columns in float32 that are computed again from others; another processor rounds otherwise."""
 PALM_ONLY = ("touched", "missed")
 """Stage of a failure in which only the palm touched the target, stored and as the stored columns
 tell it: that the palm did is not among them, and only a replay can say."""
@@ -41,11 +52,12 @@ def verdict_problems(episode: Episode, hand: str | None) -> Iterator[str]:
     """Yield columns that do not follow from those before them; where no ``hand`` is known,
     fingertips are believed.
     """
-    if problem := not_finite(episode):
+    problem = not_finite(episode)
+    if problem:
         yield problem
         return
-    if hand is not None and (problem := _fingertips(episode, hand)):
-        yield problem
+    if hand is not None:
+        yield from filter(None, [_fingertips(episode, hand)])
     if not 0 <= episode.meta.window_frames < len(episode):
         yield f"it is observed for {episode.meta.window_frames} of its {len(episode)} frames"
         return
@@ -71,7 +83,8 @@ def verdict_problems(episode: Episode, hand: str | None) -> Iterator[str]:
         "succeeded": next_frames(np.concatenate([before, rule.succeeded(track)])),
     }
     for name, wanted in flags.items():
-        if (wrong := np.flatnonzero(getattr(episode, name) != wanted)).size:
+        wrong = np.flatnonzero(getattr(episode, name) != wanted)
+        if wrong.size:
             frame = int(wrong[0])
             yield (
                 f"{name} is {not wanted[frame]} at frame {frame}; rule {rule.name!r} says "
@@ -83,12 +96,29 @@ def verdict_problems(episode: Episode, hand: str | None) -> Iterator[str]:
             yield f"{name} is {found!r}; rule {rule.name!r} says {wanted!r}"
 
 
+def derived_problems(features: Features, frames: pa.Table, episode: Episode) -> Iterator[str]:
+    """Yield columns of an episode's rows of the frame table that hold something else than the
+    episode's other columns give, such as rewards and subtasks.
+    """
+    columns = described_features(features).values()
+    arrays = content_arrays(episode, [feature for feature in columns if feature.derived])
+    for key, wanted in arrays.items():
+        apart = np.abs(column_array(frames, key).astype(float) - wanted).max(axis=1)
+        wrong = np.flatnonzero(~(apart <= DERIVED_TOLERANCE))
+        if wrong.size:
+            yield f"{key} at frame {wrong[0]} is not what the other columns give"
+    if LANGUAGE in features:
+        subtasks = subtask_rows(is_acting(episode.phase), episode.localized)
+        wanted = pa.array([subtasks] * len(episode), frames.schema.field(LANGUAGE).type)
+        if frames[LANGUAGE].combine_chunks() != wanted:
+            yield f"{LANGUAGE} holds other subtasks than the phases and localization give"
+
+
 def _fingertips(episode: Episode, hand: str) -> str | None:
     """Find fingertips that are not where forward kinematics puts them."""
     apart = np.abs(fingertip_poses(episode.state, hand) - episode.fingertips)
-    apart = np.minimum(apart, np.abs(apart - 2 * np.pi)).max(
-        axis=1
-    )  # a rotation vector of half a turn has two signs
+    # a rotation vector of half a turn has two signs
+    apart = np.minimum(apart, np.abs(apart - 2 * np.pi)).max(axis=1)
     if apart.max() <= TIP_TOLERANCE:
         return None
     frame = int(apart.argmax())
@@ -104,10 +134,8 @@ def fingertip_poses(state: np.ndarray, hand: str) -> np.ndarray:
     """
     scene = compile_scene(hand)
     data = mujoco.MjData(scene.model)
-    position, rotation = (
-        np.empty((len(state), len(FINGERS), 3)),
-        np.empty((len(state), len(FINGERS), 3, 3)),
-    )
+    position = np.empty((len(state), len(FINGERS), 3))
+    rotation = np.empty((len(state), len(FINGERS), 3, 3))
     for frame, angles in enumerate(state):
         data.qpos[scene.hand_qpos] = angles
         mujoco.mj_kinematics(scene.model, data)
@@ -121,7 +149,8 @@ def _palm(episode: Episode) -> str | None:
     straight line.
     """
     offset = episode.target_pose_h[:, :3].astype(float) - episode.palm_pos_h
-    distance, found = np.linalg.norm(offset, axis=1), episode.palm_distance_m
+    distance = np.linalg.norm(offset, axis=1)
+    found = episode.palm_distance_m
     straight = segment_distance(np.zeros((1, 3)), offset)[0]  # (T - 1,)
     low = np.concatenate([distance[:1] - START_TOLERANCE_M, straight - _bend(episode) - BELOW_M])
     high = distance + np.where(np.arange(len(found)) == 0, START_TOLERANCE_M, ABOVE_M)
@@ -176,9 +205,10 @@ def _tips(episode: Episode, tips: np.ndarray) -> str | None:
     apart = np.abs(episode.fingertip_distance_m - wanted)
     if apart.max() <= TIP_TOLERANCE:
         return None
-    frame, found = int(apart.argmax()), episode.fingertip_distance_m
+    frame = int(apart.argmax())
+    found = episode.fingertip_distance_m[frame]
     return (
-        f"fingertip_distance at frame {frame} is {found[frame]:.4f} m; object and poses give "
+        f"fingertip_distance at frame {frame} is {found:.4f} m; object and poses give "
         f"{wanted[frame]:.4f} m"
     )
 
@@ -203,7 +233,8 @@ def _track(episode: Episode) -> Track:
     """Return what the rule judges; what touched the target besides fingers is not stored, so
     ``captured`` says it.
     """
-    control, captured = episode.control, episode.captured[episode.control]
+    control = episode.control
+    captured = episode.captured[control]
     touch = episode.target_contacts if episode.touch is None else episode.touch
     return Track(
         joints=episode.joints[control],

@@ -122,7 +122,7 @@ class VlmClient:
             model: its name at the endpoint.
             base_url: of the endpoint, usually ending in ``/v1``; None is OpenAI's.
             timeout_s: for one decision [s], all its requests included.
-            prompt, palm_speed_m_s: what is asked, see ``prompt.messages``.
+            prompt, palm_speed_m_s: the question, see ``prompt.messages``.
             log: a JSON-lines file to which a line is appended for every answer, or failure to get
                 one.
 
@@ -155,7 +155,7 @@ class VlmClient:
         Returns:
             For each of them, the commands for the next frames, (10, 18) palm center position [m],
             home frame, and joint angles [rad], one row for each frame of 0.05 s, or None if the
-            server gives no valid answer in time; and what the decision took [s].
+            server gives no valid answer in time; and the decision's duration [s].
         """
 
         async def decide() -> list[tuple[np.ndarray | None, float]]:

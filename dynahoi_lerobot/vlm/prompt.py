@@ -56,7 +56,7 @@ Return only the following JSON:
 {"action_sequence": [{"skill": "APPROACH", "params": {"target": "object"}, "duration": 4}, ...],
  "predicted_motion": [{"frame_index": 1, "hand_params": [18 values]}, ..., \
 {"frame_index": $horizon, "hand_params": [18 values]}]}"""
-"""The same, and what the paper's leaves unspecified: units, axes, joint order, frame rate and
+"""The same, with what the paper's prompt leaves out: units, axes, joint order, frame rate and
 speed."""
 
 PROMPTS = {"extended": Template(EXTENDED), "paper": Template(PAPER)}

@@ -129,9 +129,9 @@ class WorldBatch:
 
         Args:
             actions: (N, 18) palm positions [m], home frame, and joint angles [rad], or (N, 4) in
-                control mode ``grasp``; those of other worlds are ignored.
+                control mode ``grasp``; the rows of other worlds are ignored.
             ids: sorted, distinct worlds.
-            control_mode: of the actions; by default that of the rules.
+            control_mode: of the actions; by default the rules' own.
 
         Raises:
             ValueError: for a wrong shape or a value that is not finite; no world moves then.
@@ -206,7 +206,7 @@ class WorldBatch:
         Args:
             images: whether to render the views of the rules; without, they cost nothing.
             ids: the worlds to render (default: all); the images of the others are black, as are
-                those of worlds in the control phase of a protocol with ``blind_control``.
+                the images of worlds in the control phase of a protocol with ``blind_control``.
         """
         seen, state = np.arange(self.size) if ids is None else ids, self.state
         shown = self.cameras.images(seen) if images and self.rules.image_size else {}

@@ -23,12 +23,12 @@ class Commands:
     followed as it was given, and replaying it repeats the episode to the bit.
 
     Attributes:
-        palm_speed_m_s: greatest speed of the palm: the control class's, or that of the capture
-            rule's gantry [m/s].
+        palm_speed_m_s: greatest speed of the palm [m/s]: the control class's limit, or the limit of
+            the capture rule's gantry.
         low, high: (18,) least and greatest position of the palm along each slide [m], world, and
             joint angles [rad].
         given: (N, 18) the command last given, as it was cut.
-        executed: (N, 18) what the servos were last told.
+        executed: (N, 18) set points that the servos last received.
         when_due: (N, 18) where undisturbed hands will be when a command given now takes effect.
     """
 
@@ -70,8 +70,8 @@ class Commands:
         self.executed, self.when_due = self._way[0], self._way[-1]
 
     def begin(self, i: int, rest: np.ndarray, origin: np.ndarray) -> None:
-        """Let the hand of world ``i`` rest at (18,) ``rest``; (18,) ``origin`` is that of its home
-        frame, world.
+        """Let the hand of world ``i`` rest at (18,) ``rest``; (18,) ``origin`` is the origin of its
+        home frame, world.
         """
         self._range_h[:, i] = self.low - origin, self.high - origin
         self._way[1:, i] = np.clip(rest, *self._range_h[:, i])
@@ -83,7 +83,7 @@ class Commands:
         Args:
             actions: (N, 4) in control mode ``grasp``, else (N, 18) commands.
             state: (N, 18) of the hands, from which displacements are counted.
-            mode: control mode of the actions; by default that of the worlds.
+            mode: control mode of the actions; by default the worlds' own.
 
         Raises:
             ValueError: for a wrong shape, or a value that is not a finite real number.

@@ -38,7 +38,7 @@ class Detector:
         self._scales = np.zeros((size, 2))
 
     def forget(self, ids: np.ndarray) -> None:
-        """Forget what was seen in worlds ``ids`` (n,), whose episodes begin."""
+        """Forget the sightings of worlds ``ids`` (n,), whose episodes begin."""
         self._places.forget(ids)
 
     def see(

@@ -19,7 +19,7 @@ class FrameHistory:
         self.frame[ids] = -1
 
     def add(self, i: int, value: np.ndarray, frame: int) -> None:
-        """Add what is measured in world ``i`` at a frame; frames since the last that were left out
+        """Add a measurement of world ``i`` at a frame; frames since the last that were left out
         show the same.
         """
         passed = frame - int(self.frame[i])

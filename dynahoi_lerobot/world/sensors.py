@@ -101,7 +101,7 @@ class Cameras:
         self.in_order = looks or MOTION_VIEW in self._views
 
     def forget(self, ids: np.ndarray) -> None:
-        """Forget what was seen in worlds ``ids`` (n,), whose episodes begin."""
+        """Forget the images of worlds ``ids`` (n,), whose episodes begin."""
         self._grey.forget(ids)
         if self._detector is not None:
             self._detector.forget(ids)
@@ -180,7 +180,7 @@ class Cameras:
         return motion
 
     def _seeing(self, ids: np.ndarray) -> np.ndarray:
-        """(n,) those of worlds ``ids`` whose protocol lets them see now."""
+        """Return the worlds among ``ids`` (n,) whose protocol lets them see now."""
         blind = [
             spec is not None
             and PROTOCOLS[spec.protocol].blind_control
@@ -221,7 +221,7 @@ class Stage:
         """Return (T, H, W, 3) uint8 of each view of an episode's first T frames, of which
         (T, nq + ngeom) ``visual_states`` are known.
 
-        They are those that `Cameras` would have shown while row ``i`` of ``world`` played ``spec``.
+        `Cameras` would have shown the same images while row ``i`` of ``world`` played ``spec``.
         """
         self._specs[:], parts = [spec] * STAGE_FRAMES, []
         for first in range(0, len(visual_states), STAGE_FRAMES):

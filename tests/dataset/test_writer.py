@@ -1,7 +1,6 @@
 """Episodes on disk: written, read, merged and copied, always with the same bytes; their card."""
 
 import dataclasses
-import json
 import re
 from pathlib import Path
 
@@ -223,51 +222,6 @@ def test_an_episode_column_has_an_item_per_episode(dataset):
     ):
         for found, episode in zip(episode_column(dataset, key), episodes, strict=True):
             np.testing.assert_array_equal(found, getattr(episode, name))
-
-
-def test_statistics_are_those_of_all_frames_and_of_each_episode(dataset):
-    stats, store = json.loads((dataset / "meta/stats.json").read_text()), Store(dataset)
-    shares = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
-    for key in (
-        "action",
-        "observation.state",
-        "timestamp",
-        "episode_index",
-        "index",
-        "task_index",
-        "next.done",
-    ):
-        values = frame_column(dataset, key).astype(np.float64)
-        pieces = np.split(values, np.cumsum([row["length"] for row in store.rows])[:-1])
-        told = [(stats[key], values)]
-        told += [
-            ({n: row[f"stats/{key}/{n}"] for n in stats[key]}, piece)
-            for row, piece in zip(store.full_rows(), pieces, strict=True)
-        ]
-        for found, part in told:
-            for name, share in shares.items():
-                np.testing.assert_array_equal(
-                    found[name], np.quantile(part, share, axis=0, method="inverted_cdf")
-                )
-            for name in ("min", "max", "mean", "std"):
-                wanted = getattr(part, name)(axis=0)
-                np.testing.assert_allclose(
-                    found[name], wanted, rtol=1e-6, atol=1e-9, err_msg=f"{key} {name}"
-                )
-            assert found["count"] == [len(part)]
-
-
-def test_statistics_of_images_are_those_of_all_pixels(dataset):
-    stats = json.loads((dataset / "meta/stats.json").read_text())[CAMERA_KEY]
-    pixels = (
-        np.concatenate([varied_episode(seed).images["ego"].reshape(-1, 3) for seed in range(6)])
-        / 255
-    )
-    for name in ("min", "max", "mean", "std"):
-        np.testing.assert_allclose(
-            np.ravel(stats[name]), getattr(pixels, name)(axis=0), rtol=1e-9, err_msg=name
-        )
-    assert stats["count"] == [sum(row["length"] for row in Store(dataset).rows)]
 
 
 def test_the_metadata_of_its_card_are_lerobots_and_more(dataset: Path):

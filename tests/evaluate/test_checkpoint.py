@@ -3,8 +3,10 @@ never appears.
 """
 
 import hashlib
+import json
 import shutil
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -60,18 +62,9 @@ def test_a_step_that_is_a_program_is_refused_by_every_command(
     command, pipeline, checkpoint, marker, capsys
 ):
     add_step(checkpoint, program(marker), pipeline)
-    assert (
-        cli.main(
-            [
-                *command.split(),
-                "--policy",
-                str(checkpoint),
-                "--out",
-                str(checkpoint.parent / "x.gif"),
-            ]
-        )
-        == 2
-    )
+    out = str(checkpoint.parent / "x.gif")
+    words = [*command.split(), "--policy", str(checkpoint), "--out", out]
+    assert cli.main(words) == 2
     message = capsys.readouterr().err
     assert "'os.mkdir'" in message
     assert "--trust" in message
@@ -111,6 +104,8 @@ def test_a_third_partys_step_plays_with_trust(checkpoint: Path) -> None:
             "config": {"pretrained_path": "you/classifier"},
         },
         {"registry_name": "device_processor", "config": {"pretrained_path": "x"}},
+        {"registry_name": "action_tokenizer_processor", "config": {}},
+        {"class": "lerobot.processor.DeviceProcessorStep", "config": {}},
         {"registry_name": "device_processor", "state_file": "../../secret.safetensors"},
         {"registry_name": "device_processor", "state_file": None},
         {},
@@ -124,24 +119,54 @@ def test_steps_keys_and_states_that_are_not_listed_are_refused(
         checked_folder(str(checkpoint))
 
 
-def test_code_of_a_repository_that_a_step_names_does_not_run_and_nobody_is_asked(
-    checkpoint, marker, monkeypatch
+REPOSITORY_CODE = {
+    "a tokenizer": (
+        {"tokenizer_config.json": {"auto_map": {"AutoTokenizer": ["evil.Evil", None]}}},
+        {"registry_name": "tokenizer_processor", "config": {"tokenizer_name": "OTHER"}},
+        {},
+    ),
+    "a tokenizer of actions": (
+        {"tokenizer_config.json": {"auto_map": {"AutoTokenizer": ["evil.Evil", None]}}},
+        {
+            "registry_name": "action_tokenizer_processor",
+            "config": {"action_tokenizer_name": "OTHER"},
+        },
+        {},
+    ),
+    "a backbone": (
+        {
+            "config.json": {"model_type": "evil", "auto_map": {"AutoConfig": "evil.Evil"}},
+            "preprocessor_config.json": {"image_mean": [0.5] * 3, "image_std": [0.5] * 3},
+        },
+        None,
+        {"encoder": "transformers", "encoder_options": {"name": "OTHER"}},
+    ),
+}
+"""What another repository holds, and a step or settings of a config that name it."""
+
+
+@pytest.mark.parametrize("name", REPOSITORY_CODE)
+def test_code_of_another_repository_does_not_run_and_nobody_is_asked(
+    name, checkpoint, marker, monkeypatch
 ):
     monkeypatch.setattr("builtins.input", lambda _: pytest.fail("transformers asks"))
-    (other := checkpoint.parent / "other").mkdir()
+    files, step, settings = REPOSITORY_CODE[name]
+    other = checkpoint.parent / "other"
+    other.mkdir()
     (other / "config.json").write_text('{"model_type": "bert"}')
-    (other / "tokenizer_config.json").write_text(
-        '{"auto_map": {"AutoTokenizer": ["evil.Evil", null]}}'
-    )
+    for file, content in files.items():
+        (other / file).write_text(json.dumps(content))
     (other / "evil.py").write_text(f"import os\nos.mkdir({str(marker)!r})\nclass Evil: ...\n")
-    for name, config in (
-        ("tokenizer_processor", {"tokenizer_name": str(other)}),
-        ("action_tokenizer_processor", {"action_tokenizer_name": str(other)}),
-    ):
-        edit_json(checkpoint / PREPROCESSOR, lambda content: content["steps"].clear())
-        add_step(checkpoint, {"registry_name": name, "config": config})
-        with pytest.raises(PolicyError, match=r"cannot be loaded|--trust"):
-            PolicyAgent(str(checkpoint))
+
+    def name_it(path: Path, change: Callable[[dict], object]) -> None:
+        edit_json(path, change)
+        path.write_text(path.read_text().replace("OTHER", str(other)))
+
+    if step is not None:
+        name_it(checkpoint / PREPROCESSOR, lambda content: content.update(steps=[step]))
+    name_it(checkpoint / "config.json", lambda content: content.update(settings))
+    with pytest.raises(PolicyError, match=r"cannot be loaded|--trust"):
+        PolicyAgent(str(checkpoint))
     assert not marker.exists()
 
 
@@ -172,7 +197,10 @@ def test_a_policy_that_is_not_installed_or_not_there_is_named(
         ("backbone/config.json", b'{"text": [{"auto_map": {}}]}'),
         ("tokenizer_config.json", b'{"trust_remote_code": true}'),
         ("config.json", b'{"type": "pi0_fast"}'),
+        ("config.json", b'{"type": "obact", "encoder_options": {"trust_remote_code": 1}}'),
+        ("config.json", b'{"type": "os.mkdir"}'),
         ("pytorch_model.bin", b""),
+        ("backbone/weights.PT", b""),
     ],
 )
 def test_files_that_hold_or_ask_for_code_are_refused(
@@ -219,6 +247,26 @@ def test_weights_that_do_not_fit_are_refused(damage: str, checkpoint: Path) -> N
     save_file(damaged[damage], checkpoint / WEIGHTS)
     with pytest.raises(PolicyError, match=r"weights|size mismatch"):
         PolicyAgent(str(checkpoint))
+
+
+@pytest.mark.parametrize(
+    ("setting", "sentence"),
+    [
+        ({"encoder": "os.mkdir"}, "os.mkdir"),
+        ({"encoder": "lerobot.policies.factory"}, "lerobot.policies.factory"),
+        ({"n_layers": 10**6}, "n_layers is 1000000; it must be 10000 or less"),
+        ({"head_options": {"n_steps": 10**9}}, "head_options is 1000000000"),
+        ({"relative_dims": [0] * 20_000}, "relative_dims is 20000"),
+    ],
+)
+def test_names_of_code_and_a_million_layers_end_in_a_sentence(
+    setting, sentence, checkpoint, capsys
+):
+    edit_json(checkpoint / "config.json", lambda config: config.update(setting))
+    assert cli.main(["evaluate", "--policy", str(checkpoint), "--episodes", "1"]) == 2
+    message = capsys.readouterr().err
+    assert sentence in message
+    assert message.count("\n") == 1
 
 
 @pytest.mark.parametrize("setting", [{"fps": 20}, {"head_options": {"n_steps": 0}}])

@@ -261,7 +261,7 @@ def _all_alike(here: Indices, above: Indices, below: Indices, left: int, right: 
 def _jumps_row(
     edges: Indices, here: Indices, depth: Row, other: Indices, other_depth: Row
 ) -> Indices:
-    """Add the pixels that show another shape at another depth than those of another row."""
+    """Add the pixels whose shape and depth differ from the pixels of another row."""
     row = Indices()
     for i in range(TILE):
         row[i] = wp.max(edges[i], _jump(here[i], depth[i], other[i], other_depth[i]))
@@ -373,7 +373,7 @@ def _trace_seen(
     xs: Row,
     ys: Row,
 ) -> Indices:
-    """The nearest shape along each ray, of those that the row or one beside it shows."""
+    """Return the nearest shape along each ray, among the shapes of the row and its neighbors."""
     depths, nearest = Row(FAR), Indices(-1)
     for k in range(worlds.counts[w, tile]):
         s = worlds.lists[w, tile, k]

@@ -189,11 +189,11 @@ def surface_row(
     xs: Row,
     ys: Row,
 ) -> tuple[Row, Row, Row, Row]:
-    """Return what the points of a row on a shape look like.
+    """Return the color of the points of a row on a shape.
 
     Args:
         worlds, look, textures: of the scene; ``w``, ``s``: the world and the shape.
-        middle: a ray of those that show the shape; it decides how sharp the texture is.
+        middle: one of the rays that show the shape; it decides how sharp the texture is.
         depths: of the points [m]; ``xs``, ``ys``: slopes of their rays.
 
     Returns:
@@ -217,7 +217,7 @@ def surface_row(
 TIE = wp.constant(1.0e-6)
 """Relative depth difference below which the later of two geoms is visible, as in MuJoCo."""
 MISSED = wp.constant(1.0e30)
-"""Depth of what is not met: beyond all others."""
+"""Depth of a ray that meets nothing: beyond all others."""
 
 
 @wp.func
@@ -240,7 +240,7 @@ def trace_row(
 def meet_shape(
     shapes: wp.array2d[Shape], w: int, s: int, depths: Row, visible: Indices, xs: Row, ys: Row
 ) -> tuple[Row, Indices]:
-    """Return depths and indices with those of shape ``s`` where it is nearer."""
+    """Return depths and indices, replaced by shape ``s`` where it is nearer."""
     row = _enter_row(shapes, w, s, xs, ys)
     nearest, seen = Row(), Indices()
     for i in range(TILE):

@@ -200,8 +200,8 @@ def uv_sphere(size: wp.vec3, p: wp.vec3) -> wp.vec2:
 
 @wp.func
 def uv_ellipsoid(size: wp.vec3, p: wp.vec3) -> wp.vec2:
-    """Return the texture coordinates of a point of an ellipsoid: those of the sphere it is scaled
-    from.
+    """Return the texture coordinates of a point of an ellipsoid, which is a scaled sphere and has
+    the sphere's.
     """
     return uv_sphere(size, wp.cw_div(p, size))
 

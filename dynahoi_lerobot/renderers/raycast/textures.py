@@ -49,8 +49,8 @@ class Textures:
 def level_of(textures: Textures, repeats_per_pixel: float, facing: float) -> int:
     """Return the level whose texels are about as large as a pixel.
 
-    A pixel that sees a surface aslant covers more of it in one direction; the level is that of the
-    mean of both.
+    A pixel that sees a surface aslant covers more of it in one direction; the level follows from
+    the mean of both.
 
     Args:
         textures: of the scene.

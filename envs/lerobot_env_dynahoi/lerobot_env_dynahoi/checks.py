@@ -34,7 +34,7 @@ def check_command_line() -> None:
 
 
 def _check_policy(path: str | None) -> None:
-    """Refuse what is neither a checkpoint's folder nor the name of a repository."""
+    """Refuse a path that is neither a checkpoint's folder nor the name of a repository."""
     if path is None or (path.count("/") == 1 and not os.path.isdir(path)):
         return
     folder = described_folder(path)

@@ -41,7 +41,7 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
 
     The fields of `Rules` are fields here as well, such as ``capture``, ``control_class`` and
     ``image_size``; one that is None is as the policy of the command line was trained, or else as in
-    the rules by default. So are those of `Recipe`, such as ``split``, which is ``test`` by default.
+    the rules by default. So are the fields of `Recipe`, such as ``split``, by default ``test``.
     A seed is the number of an episode within split and kind of motion; fixed splits wrap around.
 
     Attributes:

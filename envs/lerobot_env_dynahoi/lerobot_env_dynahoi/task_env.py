@@ -47,5 +47,5 @@ class TaskEnv(DynahoiVectorEnv):
     _on_episode: ResultsLog
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Write what has been played so far."""
+        """Write the episodes played so far."""
         self._on_episode.write()

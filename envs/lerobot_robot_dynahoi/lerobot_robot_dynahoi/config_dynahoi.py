@@ -22,7 +22,7 @@ class DynahoiRobotConfig(RobotConfig):
         seed: number of the first episode within split and kind; the next episodes count up.
         control_class: limits and latency of the hand: standard, late or unlimited.
         capture: capture rule: attach, attach_lenient or contact.
-        hand: the hand; that of the capture rule if empty.
+        hand: the hand; the capture rule's if empty.
         image_size: side of the camera images [px].
         views: cameras besides ``ego``.
         realtime: whether the world moves at 20 Hz by the clock; else every action moves it by one

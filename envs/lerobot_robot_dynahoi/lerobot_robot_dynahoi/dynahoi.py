@@ -64,7 +64,7 @@ class DynahoiRobot(Simulated, Robot):
     """
 
     config_class = DynahoiRobotConfig
-    name = ROBOT_TYPE  # LeRobot writes it into datasets, and merges those of the same robot
+    name = ROBOT_TYPE  # LeRobot writes it into datasets, and merges datasets of the same robot
     connected: ClassVar[list[DynahoiRobot]] = []
     """The robots that this process has connected, which teleoperators look into."""
 
@@ -113,7 +113,7 @@ class DynahoiRobot(Simulated, Robot):
         return self._world
 
     def connect(self, calibrate: bool = True) -> None:
-        """Make the world and lay out the first episode, after those that ``results_dir`` holds.
+        """Make the world and lay out the first episode, after the episodes of ``results_dir``.
 
         Raises:
             BlockingIOError: if another process works in ``results_dir``.

@@ -67,7 +67,7 @@ class _Mover(Simulated, Teleoperator):
 
     @abstractmethod
     def _command(self, world: LiveWorld) -> np.ndarray:
-        """Return (18,) what the hand should do now."""
+        """Return (18,) the command for the hand now."""
 
 
 class DynahoiExpert(_Mover):

@@ -1,0 +1,163 @@
+"""What the writer says about random small recordings is what their frames give, read by pandas."""
+
+import dataclasses
+import json
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.features import CAMERA_KEY
+from dynahoi_lerobot.dataset.columns import dataset_features
+from dynahoi_lerobot.dataset.paths import FileLimits
+from dynahoi_lerobot.dataset.video import Encoding, stored_packets
+from dynahoi_lerobot.dataset.writer import DatasetWriter
+from tests.synthetic import synthetic_episode
+
+SHARES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
+TASKS = ("Catch it.", "Catch the red ball.", "Grasp the box.")
+
+Statistics = dict[str, np.ndarray]
+
+
+def recorded(seed: int, frames: int, task: str, image_size: int | None) -> Episode:
+    episode = synthetic_episode(seed, frames=frames, image_size=image_size)
+    return dataclasses.replace(episode, meta=dataclasses.replace(episode.meta, task=task))
+
+
+@settings(max_examples=12, deadline=None)
+@given(
+    kinds=st.lists(st.tuples(st.integers(10, 30), st.sampled_from(TASKS)), min_size=1, max_size=6),
+    image_size=st.sampled_from([None, 16]),
+    codec=st.sampled_from(["h264", "images"]),
+    data_mb=st.sampled_from([0.004, 100]),
+    video_s=st.sampled_from([1.5, 3600]),
+)
+def test_what_is_written_about_episodes_is_what_their_frames_give(
+    kinds, image_size, codec, data_mb, video_s
+):
+    episodes = [
+        recorded(seed, frames, task, image_size) for seed, (frames, task) in enumerate(kinds)
+    ]
+    with TemporaryDirectory() as folder:
+        root = Path(folder) / "d"
+        limits = FileLimits(data_mb=data_mb, video_s=video_s)
+        writer = DatasetWriter(root, dataset_features(episodes[0]), Encoding(codec), limits)
+        for episode in episodes:
+            writer.add(episode)
+        manifest = writer.finish()
+        assert manifest.episodes == len(episodes)
+        assert manifest.frames == sum(map(len, episodes))
+        assert manifest.seeds == list(range(len(episodes)))
+        check_frames(root, episodes)
+        check_places(root, episodes)
+        check_statistics(root, episodes)
+
+
+def rows_of(root: Path) -> list[dict]:
+    return pd.read_parquet(root / "meta/episodes").to_dict("records")
+
+
+def check_frames(root: Path, episodes: Sequence[Episode]) -> None:
+    """Counts, numbers, times and instructions of frames, and their actions."""
+    lengths = [len(episode) for episode in episodes]
+    told = [episode.meta.task for episode in episodes]
+    frames = pd.read_parquet(root / "data").sort_values("index")
+    tasks = pd.read_parquet(root / "meta/tasks.parquet").sort_values("task_index").index
+    info = json.loads((root / "meta/info.json").read_text())
+    assert info["total_episodes"] == len(episodes)
+    assert info["total_frames"] == sum(lengths)
+    assert info["total_tasks"] == len(tasks) == len(set(told))
+    assert info["splits"] == {"train": f"0:{len(episodes)}"}
+    assert frames["index"].tolist() == list(range(sum(lengths)))
+    assert frames["episode_index"].tolist() == np.repeat(range(len(episodes)), lengths).tolist()
+    assert frames["frame_index"].tolist() == [n for length in lengths for n in range(length)]
+    np.testing.assert_array_equal(frames["timestamp"], (frames["frame_index"] / 20).astype("f4"))
+    assert tasks[frames["task_index"]].tolist() == np.repeat(told, lengths).tolist()
+    actions = np.concatenate([episode.action for episode in episodes])
+    np.testing.assert_array_equal(np.stack(frames["action"].tolist()), actions)
+
+
+def check_places(root: Path, episodes: Sequence[Episode]) -> None:
+    """Where an episode's rows and images lie."""
+    frames = {path: len([*stored_packets(path)]) for path in root.glob("videos/*/*/*.mp4")}
+    seen = dict.fromkeys(frames, 0)
+    first = 0
+    for index, (row, episode) in enumerate(zip(rows_of(root), episodes, strict=True)):
+        length = len(episode)
+        assert row["episode_index"] == index
+        assert row["length"] == length
+        assert row["dataset_from_index"] == first
+        first += length
+        assert row["dataset_to_index"] == first
+        assert list(row["tasks"]) == [episode.meta.task]
+        place = f"chunk-000/file-{row['data/file_index']:03d}.parquet"
+        held = pd.read_parquet(root / "data" / place, columns=["episode_index"])
+        assert (held["episode_index"] == index).sum() == length
+        for path in seen:
+            key = path.parents[1].name
+            if path.stem == f"file-{row[f'videos/{key}/file_index']:03d}":
+                assert row[f"videos/{key}/from_timestamp"] == pytest.approx(seen[path] / 20)
+                seen[path] += length
+                assert row[f"videos/{key}/to_timestamp"] == pytest.approx(seen[path] / 20)
+    assert seen == frames
+
+
+def check_statistics(root: Path, episodes: Sequence[Episode]) -> None:
+    """Statistics of each episode, and of all."""
+    frames = pd.read_parquet(root / "data").sort_values("index")
+    starts = np.cumsum([0, *map(len, episodes)])
+    said = json.loads((root / "meta/stats.json").read_text())
+    rows = rows_of(root)
+    for key, of_all in said.items():
+        if key == CAMERA_KEY:
+            wanted = statistics_of_images(episodes)
+        else:
+            values = np.stack(frames[key].map(np.atleast_1d).tolist())
+            wanted = [statistics(values[start:stop]) for start, stop in pairwise(starts)]
+            wanted.append(statistics(values))
+        of_each = [{name: row[f"stats/{key}/{name}"] for name in of_all} for row in rows]
+        for found, numbers in zip([*of_each, of_all], wanted, strict=True):
+            assert found.keys() == numbers.keys()
+            for name, value in numbers.items():
+                flat = np.ravel([*map(np.ravel, map(as_list, found[name]))])
+                np.testing.assert_allclose(flat, value, 1e-6, 1e-9, err_msg=f"{key} {name}")
+
+
+def as_list(value: object) -> object:
+    """Return nested arrays of objects, as pandas reads lists of lists, as lists."""
+    return [as_list(part) for part in value] if isinstance(value, np.ndarray) else value
+
+
+def statistics(values: np.ndarray) -> Statistics:
+    """Return those of (N, D) numbers; of all numbers that have their share at or below them, a
+    quantile is the least.
+    """
+    ranked = np.sort(values.astype(float), axis=0)
+    quantiles = {name: ranked[math.ceil(share * len(ranked)) - 1] for name, share in SHARES.items()}
+    moments = {name: getattr(ranked, name)(axis=0) for name in ("min", "max", "mean", "std")}
+    return moments | quantiles | {"count": np.array([len(ranked)])}
+
+
+def statistics_of_images(episodes: Sequence[Episode]) -> list[Statistics]:
+    """Return those of each episode's pixels, and of all: LeRobot averages quantiles of episodes and
+    counts images.
+    """
+    pixels = [episode.images["ego"].reshape(-1, 3) / 255 for episode in episodes]
+    lengths = np.array([len(episode) for episode in episodes])
+    found = [statistics(part) for part in pixels]
+    whole = statistics(np.concatenate(pixels))
+    for name in SHARES:
+        whole[name] = np.average([part[name] for part in found], axis=0, weights=lengths)
+    found.append(whole)
+    for part, count in zip(found, [*lengths, lengths.sum()], strict=True):
+        part["count"] = np.array([count])
+    return found
