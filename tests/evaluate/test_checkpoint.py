@@ -263,7 +263,7 @@ def test_statistics_that_do_not_fit_are_refused(tmp_path: Path) -> None:
         misshapen = {"observation.state": ones | {"mean": torch.zeros(shape)}}
         folder = saved(config, tmp_path / str(shape), misshapen)
         with pytest.raises(
-            PolicyError, match=r"policy_preprocessor\.json normalises observation\.state"
+            PolicyError, match=r"policy_preprocessor\.json normalizes observation\.state"
         ):
             PolicyAgent(str(folder))
 
