@@ -40,7 +40,9 @@ class ReadError(ValueError):
 
 
 class LeftOut(Warning):
-    """Part of a file is left out and the rest is used; the message is one sentence."""
+    """A part, such as a column or a plugin, is left out and the rest is used; the message is one
+    sentence.
+    """
 
 
 @contextmanager

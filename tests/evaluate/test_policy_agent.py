@@ -13,7 +13,8 @@ from lerobot.policies.diffusion.modeling_diffusion import DiffusionPolicy
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.agent import Observation
-from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError, note_frame, queued_frame
+from dynahoi_lerobot.core.lerobot_internals import queued_frame
+from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError, note_frame
 from dynahoi_lerobot.evaluate.results import read_results
 from tests.checkpoints import SHIPPED, tiny_diffusion
 from tests.world.playing import world
