@@ -553,7 +553,9 @@ def test_the_last_frame_of_the_episode_before_is_forgotten(monkeypatch):
 
 
 def test_rows_that_are_kept_act_as_with_those_that_are_dropped():
-    policy = varied(n_action_steps=2, horizon=4)
+    """The eye compares with the image before, and commands are under way."""
+    robot = Embodiment(delay_frames=3, palm_speed_m_s=0.5, capture="attach")
+    policy = varied(n_action_steps=2, horizon=4, encoder="eye", embodiment=robot)
     rows = np.array([0, 2])
 
     def actions(dropped_after: int) -> torch.Tensor:
