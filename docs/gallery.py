@@ -196,8 +196,8 @@ def _bordered(episode: Episode) -> np.ndarray:
     phase.
     """
     images = episode.images[EGO_VIEW]
-    colours = np.array([BORDERS[phase] for phase in phases_of(episode)], dtype=np.uint8)  # (T, 3)
-    frames = np.broadcast_to(colours[:, None, None], images.shape).copy()
+    colors = np.array([BORDERS[phase] for phase in phases_of(episode)], dtype=np.uint8)  # (T, 3)
+    frames = np.broadcast_to(colors[:, None, None], images.shape).copy()
     inner = slice(BORDER_PX, -BORDER_PX)
     frames[:, inner, inner] = images[:, inner, inner]
     return frames

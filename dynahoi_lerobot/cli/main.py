@@ -2,7 +2,7 @@
 
 import argparse
 import importlib
-import logging
+import os
 import signal
 import sys
 import warnings
@@ -16,6 +16,7 @@ from dynahoi_lerobot.core.arguments import CommandError, add_options, read_optio
 from dynahoi_lerobot.core.caches import ensure_caches
 from dynahoi_lerobot.core.escaping import Terminal, shortened
 from dynahoi_lerobot.core.files import check_output
+from dynahoi_lerobot.core.lerobot_internals import video_backend_unspoken
 
 COMMANDS = {
     "quickstart": (
@@ -63,6 +64,8 @@ FileNotFoundError for bad input, CommandError and OSError for a failure.
 FAILED = 1
 BAD_INPUT = 2
 STOPPED = 130
+CLOSED = 141
+"""Exit codes; the last two as shells have them for programs ended by SIGINT and SIGPIPE."""
 EXTRAS = {
     "datatrove": "scale",
     "ray": "scale",
@@ -93,8 +96,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code: 0 success, 1 failure, 2 bad input, 130
     interrupted.
     """
-    # it warns in 90 lines that torchcodec is unusable, which `dynahoi doctor` reports in one
-    logging.getLogger("lerobot.utils.import_utils").setLevel(logging.ERROR)
     words = list(sys.argv[1:] if argv is None else argv)
     parser = _Parser(prog="dynahoi", description="Catching moving objects with a dexterous hand.")
     parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
@@ -115,7 +116,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         add_options(commands.choices[name], command.Options)
         options = read_options(command.Options, vars(commands.choices[name].parse_args(words[1:])))
         _check_outputs(options)
-        return command.run(options)
+        with video_backend_unspoken():
+            return command.run(options)
 
     return exit_code(spoken, run)
 
@@ -128,7 +130,12 @@ def exit_code(spoken: str, run: Callable[[], int]) -> int:
     err = cast("TextIO", Terminal(sys.stderr))
     with redirect_stdout(out), redirect_stderr(err), _left_out_in_one_line(spoken):
         try:
-            return run()
+            code = run()
+            sys.stdout.flush()
+            return code
+        except BrokenPipeError:  # the reader, such as `head`, has had enough
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return CLOSED
         except ModuleNotFoundError as error:
             extra = EXTRAS.get((error.name or "").partition(".")[0])
             remedy = f"which the extra `{extra}` installs" if extra else "which is not installed"

@@ -15,6 +15,7 @@ from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import (
     IMAGE_PREFIX,
 )
+from dynahoi_lerobot.core.lerobot_internals import video_backend_unspoken
 from dynahoi_lerobot.core.reading import (
     ReadError,
     fits,
@@ -76,7 +77,7 @@ def open_dataset(root: Path, **options: Any) -> LeRobotDataset:
     check_root(root)
     store = Store(root)
     store.check_files()
-    with reading(root):
+    with reading(root), video_backend_unspoken():
         dataset = LeRobotDataset(f"local/{root.name}", root=root, **options)
     lengths = [row["length"] for row in store.rows]
     chosen = range(len(lengths)) if dataset.episodes is None else dataset.episodes

@@ -119,6 +119,8 @@ def run_quickstart(folder: Path) -> None:
     assert said.strip().endswith((out / "report.html").as_uri())
     assert "warning" not in said.lower()
     assert subprocess.check_output(command, text=True).count("already done") == 4
+    for log in ("lerobot_train.log", "lerobot_eval.log"):
+        assert "libtorchcodec" not in (out / log).read_text()
     run(["dynahoi", "verify", str(out / "dataset")])
     kinds = sorted(quickstart.KINDS[: quickstart.TINY.kinds])
     for name in ("obact", *quickstart.BASELINES):

@@ -33,6 +33,12 @@ def checked(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture):
         (["--env.hand=claw"], "'claw'"),
         (["--env.image_size=-3"], "-3"),
         (["--env.max_parallel_tasks=2"], "got 2"),
+        (["--env.fps=30"], "env.fps must be 20"),
+        (["--env.disable_env_checker=false"], "env.disable_env_checker must be true"),
+        (["--env.features", "{}"], "env.features cannot be set"),
+        (["--env.features_map={}"], "env.features_map cannot be set"),
+        (["--env.n_action_steps=4"], "env.n_action_steps is read with env.inference=async"),
+        (["--env.latency_ms=150"], "with mode sync the world waits"),
         (["--policy.path=no/such/folder"], "'no/such/folder'"),
         (["--policy.path=nothing"], "'nothing'"),
         ([f"--policy.path={SHIPPED.parent}"], "holds no policy"),
@@ -49,6 +55,7 @@ def test_a_mistake_is_one_sentence(words: list[str], named: str, checked) -> Non
         ["lerobot-eval", "--env.type=pusht", "--env.task=nothing"],
         ["lerobot-eval", "--env.type=dynahoi", "--env.task=lob", f"--policy.path={SHIPPED}"],
         ["lerobot-eval", "--env.type", "dynahoi", "--env.views", '["side"]'],
+        ["lerobot-eval", "--env.type=dynahoi", "--env.discover_packages_path", "my_motions"],
     ],
 )
 def test_other_environments_and_good_options_pass(words: list[str], monkeypatch) -> None:

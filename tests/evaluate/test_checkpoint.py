@@ -13,10 +13,9 @@ from typing import Any
 import huggingface_hub
 import pytest
 import torch
-from lerobot.configs import NormalizationMode
+from lerobot.configs import NormalizationMode, PreTrainedConfig
 from lerobot.processor import IdentityProcessorStep, ProcessorStepRegistry
 from lerobot.utils.import_utils import register_third_party_plugins
-from lerobot_policy_obact import ObActConfig
 from safetensors.torch import load_file, save_file
 
 from dynahoi_lerobot.cli import main as cli
@@ -24,7 +23,7 @@ from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.evaluate.checkpoint import WEIGHTS, PolicyError, checked_folder, trained_for
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import read_results
-from tests.checkpoints import SHIPPED, saved
+from tests.checkpoints import FEATURES, SHIPPED, saved, tiny_act
 from tests.tools import edit_json
 
 PREPROCESSOR = "policy_preprocessor.json"
@@ -251,8 +250,9 @@ def test_weights_that_do_not_fit_are_refused(damage: str, checkpoint: Path) -> N
         PolicyAgent(str(checkpoint))
 
 
-def test_statistics_that_do_not_fit_are_refused(actor: Path, tmp_path: Path) -> None:
-    config = ObActConfig.from_pretrained(actor)
+def test_statistics_that_do_not_fit_are_refused(tmp_path: Path) -> None:
+    act = tiny_act(tmp_path / "act", FEATURES["input_features"])
+    config = PreTrainedConfig.from_pretrained(str(act))
     config.normalization_mapping["STATE"] = NormalizationMode.MEAN_STD
     with pytest.raises(PolicyError, match=r"observation\.state"):
         PolicyAgent(str(saved(config, tmp_path / "none")))
@@ -263,7 +263,7 @@ def test_statistics_that_do_not_fit_are_refused(actor: Path, tmp_path: Path) -> 
         misshapen = {"observation.state": ones | {"mean": torch.zeros(shape)}}
         folder = saved(config, tmp_path / str(shape), misshapen)
         with pytest.raises(
-            PolicyError, match=r"policy_preprocessor\.json normalises observation\.state"
+            PolicyError, match=r"policy_preprocessor\.json normalizes observation\.state"
         ):
             PolicyAgent(str(folder))
 
