@@ -106,9 +106,12 @@ ADAPTER_KEYS = frozenset(
 """Keys of a LoRA adapter's config that say how layers change. Others name modules that PEFT would
 import (``megatron_core``) or files that it would read."""
 MOST = 10**4
-"""Largest whole number in the config of a policy, and longest list, ..."""
+"""Largest whole number in the config of a policy, ..."""
 TIMES = 100
 """... unless the default of its class is large: a number may be so many times that."""
+MOST_NESTED = 500_000
+"""Largest whole number below a key of the config, and longest list: vocabularies of language models
+have up to 262,144 entries."""
 FLOATS = ("F64", "F32", "F16", "BF16")
 """Types of numbers in a file of weights that stand for each other."""
 OTHERS = {"int64": "I64", "int32": "I32", "uint8": "U8", "bool": "BOOL"}
@@ -557,6 +560,8 @@ def _check_sizes(file: Path, told: Mapping[str, Any], usual: Mapping[str, Any]) 
     for name, value in told.items():
         default = usual.get(name)
         most = max(MOST, TIMES * default) if type(default) is int else MOST
+        if isinstance(value, list | dict):
+            most = MOST_NESTED
         for count in _counts(value):
             if count > most:
                 raise PolicyError(f"{file} says {name} is {count}; it must be {most} or less")

@@ -195,7 +195,7 @@ def test_lerobot_trains_an_adapter_that_plays_here(actor: Path, data: Path, tmp_
     words = ["--policy", str(made), "--episodes", "1", "--motions", "constant"]
     assert main(["evaluate", *words, "--out", str(tmp_path / "results")]) == 0
     weights = read_results(tmp_path / "results").info.extra["weights"]
-    assert {*weights} == {"adapter_model.safetensors", "base/model.safetensors"}
+    assert {*weights} >= {"adapter_model.safetensors", "base/model.safetensors"}
 
 
 @pytest.mark.nightly
