@@ -114,8 +114,9 @@ class PolicyAgent(Agent):
         if not hasattr(self._policy, "keep_rows") or self.thoughts is not None:
             return
         before = np.arange(self._count) if self._worlds is None else self._worlds
-        self._worlds = np.setdiff1d(before, worlds)
-        self._policy.keep_rows(np.searchsorted(before, self._worlds))
+        kept = np.setdiff1d(before, worlds)
+        if self._policy.keep_rows(np.searchsorted(before, kept)):
+            self._worlds = kept
 
     @_in_a_sentence
     def act(self, observation: Observation) -> np.ndarray:

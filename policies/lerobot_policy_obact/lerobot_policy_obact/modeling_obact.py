@@ -290,10 +290,12 @@ class ObActPolicy(PreTrainedPolicy):
             self._action_queue.extend(chunk[:, : config.n_action_steps].unbind(1))
         return self._action_queue.popleft()
 
-    def keep_rows(self, rows: Any) -> None:
-        """Go on with the environments of the sorted rows ``(R,)`` of the batch alone; what they do
-        does not depend on the others.
+    def keep_rows(self, rows: Any) -> bool:
+        """Go on with the environments of the sorted rows ``(R,)`` of the batch alone, and return
+        True; False, and nothing changes, if rounding makes what they do depend on the others.
         """
+        if not self.config.exact:
+            return False
         kept = [
             replace(frame, sightings=frame.sightings[rows], state=frame.state[rows])
             for frame in self._history
@@ -302,6 +304,7 @@ class ObActPolicy(PreTrainedPolicy):
         self._images = {key: images[rows] for key, images in self._images.items()}
         self._action_queue = deque(actions[rows] for actions in self._action_queue)
         self._commands = {frame: goals[rows] for frame, goals in self._commands.items()}
+        return True
 
     def _is_shown_again(self, batch: Batch) -> bool:
         """Whether a batch is the newest frame again."""

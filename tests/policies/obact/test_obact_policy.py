@@ -555,7 +555,8 @@ def test_the_last_frame_of_the_episode_before_is_forgotten(monkeypatch):
 def test_rows_that_are_kept_act_as_with_those_that_are_dropped():
     """The eye compares with the image before, and commands are under way."""
     robot = Embodiment(delay_frames=3, palm_speed_m_s=0.5, capture="attach")
-    policy = varied(n_action_steps=2, horizon=4, encoder="eye", embodiment=robot)
+    told = {"encoder": "eye", "freeze_encoder": True, "embodiment": robot}
+    policy = varied(n_action_steps=2, horizon=4, **told)
     rows = np.array([0, 2])
 
     def actions(dropped_after: int) -> torch.Tensor:
@@ -569,7 +570,7 @@ def test_rows_that_are_kept_act_as_with_those_that_are_dropped():
             action = policy.select_action(batch)
             found.append(action if i > dropped_after else action[rows])
             if i == dropped_after:
-                policy.keep_rows(rows)
+                assert policy.keep_rows(rows)
         return torch.stack(found)
 
     torch.testing.assert_close(actions(2), actions(9), rtol=0, atol=0)
