@@ -20,7 +20,7 @@ import torch
 from dynahoi_lerobot.core.conventions import CONTROL_HZ, EGO_VIEW
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.nested import changed
-from dynahoi_lerobot.evaluate.arguments import make_actor
+from dynahoi_lerobot.evaluate.actors import make_actor
 from dynahoi_lerobot.evaluate.gif import BORDERS, phases_of, write_gif
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.motions import CATEGORIES, MOTIONS

@@ -2,6 +2,7 @@
 
 import argparse
 import importlib
+import os
 import signal
 import sys
 import warnings
@@ -60,7 +61,11 @@ code, or raises what ``exit_code`` puts into a sentence: ValueError, FileExistsE
 FileNotFoundError for bad input, CommandError and OSError for a failure.
 """
 
-FAILED, BAD_INPUT, STOPPED = 1, 2, 130
+FAILED = 1
+BAD_INPUT = 2
+STOPPED = 130
+CLOSED = 141
+"""Exit codes; the last two as shells have them for programs ended by SIGINT and SIGPIPE."""
 EXTRAS = {
     "datatrove": "scale",
     "ray": "scale",
@@ -121,20 +126,30 @@ def exit_code(spoken: str, run: Callable[[], int]) -> int:
     """Return the exit code of ``run``, or print in one sentence, after what was ``spoken``, what
     stopped it.
     """
-    out, err = (cast("TextIO", Terminal(stream)) for stream in (sys.stdout, sys.stderr))
+    out = cast("TextIO", Terminal(sys.stdout))
+    err = cast("TextIO", Terminal(sys.stderr))
     with redirect_stdout(out), redirect_stderr(err), _left_out_in_one_line(spoken):
         try:
-            return run()
+            code = run()
+            sys.stdout.flush()
+            return code
+        except BrokenPipeError:  # the reader, such as `head`, has had enough
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return CLOSED
         except ModuleNotFoundError as error:
             extra = EXTRAS.get((error.name or "").partition(".")[0])
             remedy = f"which the extra `{extra}` installs" if extra else "which is not installed"
-            sentence, code = f"it needs {error.name}, {remedy}", BAD_INPUT
+            sentence = f"it needs {error.name}, {remedy}"
+            code = BAD_INPUT
         except (ValueError, FileExistsError, FileNotFoundError) as error:
-            sentence, code = _sentence(error), BAD_INPUT
+            sentence = _sentence(error)
+            code = BAD_INPUT
         except (OSError, CommandError) as error:
-            sentence, code = _sentence(error), FAILED
+            sentence = _sentence(error)
+            code = FAILED
         except KeyboardInterrupt:
-            sentence, code = "interrupted; run the same command to resume", STOPPED
+            sentence = "interrupted; run the same command to resume"
+            code = STOPPED
         print(f"{spoken}: {sentence}", file=sys.stderr)
         return code
 

@@ -33,7 +33,7 @@ from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.core.protocols import is_acting
 from dynahoi_lerobot.core.reading import reading
 from dynahoi_lerobot.dataset.store import Store
-from dynahoi_lerobot.evaluate.arguments import (
+from dynahoi_lerobot.evaluate.actors import (
     AS_TRAINED,
     EXPERT_ALIAS,
     TRUST,

@@ -81,6 +81,7 @@ class PolicyAgent(Agent):
         self.trained_for = checkpoint.trained_for(folder)
         self._chunk: Any = None
         self._frame = 0
+        self._worlds: np.ndarray | None = None  # that the policy plays; None for all
         self._guided = False
         taken = signature(self._policy.predict_action_chunk).parameters
         self._expects_delays = "inference_delay" in taken
@@ -104,19 +105,37 @@ class PolicyAgent(Agent):
         self._policy.reset()
         self._chunk = None
         self._frame = 0
+        self._worlds = None
         if self.thoughts is not None:
             self.thoughts.clear()
 
+    def leave(self, worlds: np.ndarray) -> None:
+        """Let a policy that can play on with some of its worlds alone do so."""
+        if not hasattr(self._policy, "keep_rows") or self.thoughts is not None:
+            return
+        before = np.arange(self._count) if self._worlds is None else self._worlds
+        self._worlds = np.setdiff1d(before, worlds)
+        self._policy.keep_rows(np.searchsorted(before, self._worlds))
+
     @_in_a_sentence
     def act(self, observation: Observation) -> np.ndarray:
-        """Return (N, 18) float commands: palm position [m], home frame, and joint angles [rad]."""
+        """Return (N, 18) float commands: palm position [m], home frame, and joint angles [rad];
+        zeros where an episode has ended.
+        """
         import torch
 
+        self._count = len(observation.tasks)
+        played = observation if self._worlds is None else observation.of(self._worlds)
         with torch.inference_mode():
-            action = self._policy.select_action(self._batch(observation))
+            action = self._policy.select_action(self._batch(played))
         if self.thoughts is not None:
             self.thoughts.append(getattr(self._policy, "decision", None))
-        return self._commands(action)
+        commands = self._commands(action)
+        if self._worlds is None:
+            return commands
+        all_commands = np.zeros((self._count, *commands.shape[1:]), commands.dtype)
+        all_commands[self._worlds] = commands
+        return all_commands
 
     @property
     def accepts_guidance(self) -> bool:

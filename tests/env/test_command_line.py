@@ -3,16 +3,11 @@ else.
 """
 
 import sys
-from pathlib import Path
 
 import pytest
 from lerobot_env_dynahoi.checks import check_command_line
 
-from dynahoi_lerobot.evaluate.results import read_results
-from tests.checkpoints import FEATURES, SHIPPED, tiny_act
-from tests.tools import python
-
-ROOT = Path(__file__).parents[2]
+from tests.checkpoints import SHIPPED
 
 
 @pytest.fixture
@@ -66,11 +61,3 @@ def test_a_mistake_is_one_sentence(words: list[str], named: str, checked) -> Non
 def test_other_environments_and_good_options_pass(words: list[str], monkeypatch) -> None:
     monkeypatch.setattr(sys, "argv", words)
     check_command_line()
-
-
-def test_ones_own_motion_plays_if_it_is_named(tmp_path: Path) -> None:
-    act = tiny_act(tmp_path / "act", FEATURES["input_features"])
-    python("-m", "tests.third_party.in_lerobot", act, tmp_path, cwd=ROOT)
-    found = read_results(tmp_path / "a_drift")
-    assert [row["kind"] for row in found.rows] == ["a_drift"] * 2
-    assert found.info.recipe["motions"] == ["a_drift"]

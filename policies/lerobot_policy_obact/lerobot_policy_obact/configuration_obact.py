@@ -61,6 +61,8 @@ class ObActConfig(PreTrainedConfig):
     n_future_steps: int = 0
     """Frames after it that a sample shows as well. Through these a palm is rolled out, which needs
     sightings as a column (`dynahoi encode`) and the target's path."""
+    drop_n_last_frames: int = 0
+    """Last frames of a recording from which LeRobot makes no sample: those after the catch."""
     horizon: int = 8  # actions in a predicted chunk, ``H``
     n_action_steps: int = 1  # actions of a chunk that are executed before the policy replans
     inference_delay: int = 0
@@ -93,7 +95,7 @@ class ObActConfig(PreTrainedConfig):
 
     n_hands: int = 2  # hands that are drawn for each window, see `windows`
     virtual_share: float = 0.8  # share of those that are virtual; others are shown as recorded
-    n_decisions: int = 4  # decisions of a hand at which the losses of forecast and action are taken
+    n_decisions: int = 6  # decisions of a hand at which the losses of forecast and action are taken
     forecast_weight: float = 1.0
     """Weight of the loss of the forecast; 0 learns the recorded actions alone, without the target's
     path."""
@@ -119,7 +121,7 @@ class ObActConfig(PreTrainedConfig):
     optimizer_weight_decay: float = 1e-4
     optimizer_grad_clip_norm: float = 1.0
     scheduler_warmup_steps: int = 100
-    scheduler_decay_steps: int = 1_200
+    scheduler_decay_steps: int = 1_600
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -136,6 +138,7 @@ class ObActConfig(PreTrainedConfig):
         weights = ("forecast_weight", "action_weight", "closed_loop_weight")
         counts = (
             "n_future_steps",
+            "drop_n_last_frames",
             "inference_delay",
             "n_points",
             "n_layers",

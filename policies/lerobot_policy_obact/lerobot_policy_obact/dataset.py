@@ -136,6 +136,8 @@ class TargetTable:
     free: Tensor  # the frame in which the recorded hand has caught it, (E,)
     begin: Tensor  # the frame in which the hand may move, (E,)
     first_index: Tensor  # of the dataset, of the frames of an episode, (E,)
+    # in the loss, of a window, (E,): less in episodes with more windows, so that all count alike
+    weight: Tensor
     teacher: Teacher
 
     @classmethod
@@ -152,7 +154,7 @@ class TargetTable:
             )
         paths = [torch.tensor(np.array(path, np.float32)) for path in constants[TARGET_PATH]]
         flags = torch.tensor(truth[LOCALIZED]).split(count.tolist())
-        free = [int((~held).cumprod(0).sum()) for held in flags]
+        free = torch.tensor([int((~held).cumprod(0).sum()) for held in flags])
         open_joints, closed_joints = (
             torch.tensor(constants[name], dtype=torch.float32).quantile(CLOSED_QUANTILE, dim=0)
             for name in (OPEN_JOINTS, CLOSED_JOINTS)
@@ -161,9 +163,10 @@ class TargetTable:
         return cls(
             torch.nn.utils.rnn.pad_sequence(paths, batch_first=True),
             torch.tensor([len(path) for path in paths]),
-            torch.tensor(free),
+            free,
             torch.tensor([frames or 0 for frames in table[WINDOW]], dtype=torch.long),
             count.cumsum(0) - count,
+            free.float().mean() / free.clamp_min(1),
             Teacher(*hand, radius_m=embodiment.radius_m),
         )
 

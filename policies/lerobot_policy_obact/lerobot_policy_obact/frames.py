@@ -43,6 +43,12 @@ class Frames(Record):
         """Where the palm is [m], ``(B, T, 3)``."""
         return palm_of(self.state)
 
+    def __getitem__(self, index: Any) -> Self:
+        """Return those of some episodes; all have the same times."""
+        chosen = {"sightings": self.sightings[index], "state": self.state[index]}
+        hidden = None if self.hidden is None else self.hidden[index]
+        return replace(self, **chosen, hidden=hidden)
+
 
 def gather_frames(table: Tensor, frame: Tensor) -> Tensor:
     """Return what tables ``(B, T, ...)`` hold for frames ``(B, Q...)``, ``(B, Q..., ...)``."""

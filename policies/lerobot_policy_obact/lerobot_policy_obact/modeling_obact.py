@@ -174,6 +174,9 @@ class ObActPolicy(PreTrainedPolicy):
             "closed_loop": config.closed_loop_weight * self._is_competent(),
         }
         total = torch.stack([weights[name] * loss for name, loss in losses.items()]).sum(0)
+        if self.targets is not None:
+            weight = self.targets.weight[batch["episode_index"].flatten().cpu()].to(total)
+            total = total * weight.repeat_interleave(config.n_hands)
         logged = {name: float(loss.detach().mean()) for name, loss in losses.items()}
         if reduction == "none":
             return rearrange(total, "(b n) -> b n", b=len(batch[ACTION])).mean(1), logged
@@ -287,6 +290,19 @@ class ObActPolicy(PreTrainedPolicy):
             self._action_queue.extend(chunk[:, : config.n_action_steps].unbind(1))
         return self._action_queue.popleft()
 
+    def keep_rows(self, rows: Any) -> None:
+        """Go on with the environments of the sorted rows ``(R,)`` of the batch alone; what they do
+        does not depend on the others.
+        """
+        kept = [
+            replace(frame, sightings=frame.sightings[rows], state=frame.state[rows])
+            for frame in self._history
+        ]
+        self._history = deque(kept, maxlen=self._history.maxlen)
+        self._images = {key: images[rows] for key, images in self._images.items()}
+        self._action_queue = deque(actions[rows] for actions in self._action_queue)
+        self._commands = {frame: goals[rows] for frame, goals in self._commands.items()}
+
     def _is_shown_again(self, batch: Batch) -> bool:
         """Whether a batch is the newest frame again."""
         state, images = self._history[-1].state[:, 0], self._images
@@ -304,7 +320,8 @@ class ObActPolicy(PreTrainedPolicy):
         chunk is offered, as by LeRobot's real-time chunking, the wall clock says how old it is.
 
         Its first ``inference_delay`` actions are past when it is there; the others follow from the
-        forecast and from where the palm will be by then.
+        forecast and from where the palm will be by then, or, without a forecast, are those expected
+        of a hand that acts at once.
 
         The previous chunk, which real-time chunking offers as guidance, is ignored. Consecutive
         chunks follow from one history and need none. The head's errors agree over a whole chunk, so
@@ -380,8 +397,11 @@ class ObActPolicy(PreTrainedPolicy):
         later.
         """
         model, frames = self._actor, _joined(self._history)
-        forecast = model.encode_history(frames)[:, 0].later(inference_delay)
-        state, palm = frames.state[:, -1], self._due(inference_delay)
+        # recorded actions, which begin now, were learned from where the palm is now
+        waits = inference_delay if self.config.forecasts else 0
+        palm = self._due(waits) if self.config.forecasts else frames.palm[:, -1]
+        forecast = model.encode_history(frames)[:, 0].later(waits)
+        state = frames.state[:, -1]
         context, origin = model.condition(forecast, palm, state)
         eyes, rays = model.forecaster.sighted(frames)
         seen, sighted = frames.sightings[:, -1], (eyes + rays)[:, -1]
@@ -390,7 +410,7 @@ class ObActPolicy(PreTrainedPolicy):
             seen, sighted, forecast.places, ahead_s, origin[:, 0], forecast.attention
         )
         chunk = model.unnormalise(model.head.sample(context, self._frame), origin).float()
-        delay = min(inference_delay, self.config.horizon - 1)
+        delay = min(waits, self.config.horizon - 1)
         past = chunk[:, :1].expand(-1, delay, -1)
         chunk = torch.cat([past, chunk[:, : self.config.horizon - delay]], dim=1)
         first = self._frame + delay
