@@ -23,6 +23,7 @@ import numpy as np
 from dynahoi_lerobot.core.conventions import DETECTOR_IMAGE_SIZE_PX, EGO_VIEW
 from dynahoi_lerobot.core.escaping import shortened
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, EYE, IMAGE_PREFIX
+from dynahoi_lerobot.core.lerobot_internals import RENAMING_STEP
 from dynahoi_lerobot.core.reading import (
     ReadError,
     inside,
@@ -45,8 +46,6 @@ PIPELINES = ("policy_preprocessor.json", "policy_postprocessor.json")
 ADAPTER = "adapter_config.json"
 ADAPTER_WEIGHTS = "adapter_model.safetensors"
 """What a folder holds in place of ``WEIGHTS`` if a LoRA adapter was trained (``--peft.*``)."""
-RENAMING = "rename_observations_processor"
-"""The processor step that applies LeRobot's ``--rename_map``."""
 BASE = "base/"
 """Names of the files of weights of an adapter's base begin so."""
 
@@ -315,7 +314,7 @@ def renamed(folder: Path) -> dict[str, str]:
         maps = [
             (step.get("config") or {}).get("rename_map") or {}
             for step in steps
-            if step.get("registry_name") == RENAMING
+            if step.get("registry_name") == RENAMING_STEP
         ]
         names = {old: new for one in maps for old, new in one.items()}
         require({"rename_map": names}, {"rename_map": dict[str, str]})
@@ -642,7 +641,7 @@ def _check_statistics(file: Path, pipeline: Any, config: Any) -> None:
     """Refuse a pipeline that normalizes a feature without its statistics, or not as the config of
     its policy says.
     """
-    normalised: dict[str, str] = {}
+    normalized: dict[str, str] = {}
     known = (config.input_features or {}) | (config.output_features or {})
     for step in (step for step in pipeline.steps if hasattr(step, "norm_map")):
         for key, feature in getattr(step, "features", {}).items():
@@ -654,24 +653,24 @@ def _check_statistics(file: Path, pipeline: Any, config: Any) -> None:
             chosen = getattr(step, "normalize_observation_keys", None)
             if mode == "IDENTITY" or (chosen is not None and key not in (*chosen, "action")):
                 continue
-            normalised[key] = mode
+            normalized[key] = mode
             for name in STATISTICS[mode]:
                 values = step.stats.get(key, {}).get(name)
                 if values is None:
                     raise PolicyError(
-                        f"{file} normalises {key}, and its statistics lack the {name} of that"
+                        f"{file} normalizes {key}, and its statistics lack the {name} of that"
                     )
                 if not (_broadcasts(values, feature.shape) and np.isfinite(values).all()):
                     raise PolicyError(
-                        f"{file} normalises {key} by a {name} that is not finite, or not of its "
+                        f"{file} normalizes {key} by a {name} that is not finite, or not of its "
                         f"shape"
                     )
     needed = config.output_features if "post" in file.name else config.input_features
     for key, feature in needed.items():
         mode = getattr(config.normalization_mapping.get(feature.type.value), "value", "IDENTITY")
-        if mode != normalised.get(key, "IDENTITY"):
+        if mode != normalized.get(key, "IDENTITY"):
             raise PolicyError(
-                f"{file} normalises {key} by {normalised.get(key)}, and {CONFIG} says {mode}"
+                f"{file} normalizes {key} by {normalized.get(key)}, and {CONFIG} says {mode}"
             )
 
 

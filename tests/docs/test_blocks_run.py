@@ -181,6 +181,8 @@ def before_first_hour(folder: Path) -> None:
         if word in said
     ]
     assert said.strip().endswith((out / "report.html").as_uri())
+    for log in ("lerobot_train.log", "lerobot_eval.log"):
+        assert "libtorchcodec" not in (out / log).read_text()
 
     run(["dynahoi", "verify", str(out / "dataset")])
     assert (

@@ -1,5 +1,7 @@
 """Commands on their way: where they will have brought the palm, and what is executed meanwhile."""
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
@@ -71,3 +73,7 @@ class CommandBuffer:
             given[:ready] = [self._actions.get(frame + i, last) for i in range(ready)]
         self._actions |= {frame + i: given[i] for i in range(ready, len(given))}
         return torch.stack(given, dim=1)
+
+    def keep_rows(self, rows: Any) -> None:
+        """Go on with the environments of rows ``(R,)`` alone."""
+        self._actions = {frame: action[rows] for frame, action in self._actions.items()}

@@ -16,6 +16,7 @@ from .heads import ActionHead, DiffusionDenoiser, FlowDenoiser
 AT_LEAST = {
     "n_obs_steps": 1,
     "n_future_steps": 0,
+    "drop_n_last_frames": 0,
     "horizon": 1,
     "inference_delay": 0,
     "dim": 1,
@@ -81,6 +82,8 @@ class ObActConfig(PreTrainedConfig):
     n_future_steps: int = 0
     """Frames after it that a sample shows as well. Through these a palm is rolled out, which needs
     sightings as a column (`dynahoi encode`) and the target's path."""
+    drop_n_last_frames: int = 0
+    """Last frames of a recording from which LeRobot makes no sample: those after the catch."""
     horizon: int = 8  # actions in a predicted chunk, ``H``
     n_action_steps: int = 1  # actions of a chunk that are executed before the policy replans
     inference_delay: int = 0
@@ -110,7 +113,7 @@ class ObActConfig(PreTrainedConfig):
 
     n_hands: int = 2  # hands that are drawn for each window, see `windows`
     virtual_share: float = 0.8  # share of those that are virtual; others are shown as recorded
-    n_decisions: int = 4  # decisions of a hand at which the losses of forecast and action are taken
+    n_decisions: int = 6  # decisions of a hand at which the losses of forecast and action are taken
     forecast_weight: float = 1.0
     """Weight of the loss of the forecast; 0 learns the recorded actions alone, without the target's
     path."""
@@ -135,7 +138,7 @@ class ObActConfig(PreTrainedConfig):
     optimizer_weight_decay: float = 1e-4
     optimizer_grad_clip_norm: float = 1.0
     scheduler_warmup_steps: int = 100
-    scheduler_decay_steps: int = 1_200
+    scheduler_decay_steps: int = 1_600
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -151,6 +154,13 @@ class ObActConfig(PreTrainedConfig):
         self._require(not self.encoder or self.encoder in ENCODERS, "encoder", allowed)
         self._require(self.head in HEADS, "head", f"one of {', '.join(HEADS)}")
         self._require(0 <= self.ema_decay < 1, "ema_decay", "0 or more and below 1")
+        identity = all(
+            mode == NormalizationMode.IDENTITY for mode in self.normalization_mapping.values()
+        )
+        allowed = "IDENTITY for everything: encoders and heads standardize by themselves"
+        self._require(identity, "normalization_mapping", allowed)
+        exact = "false: this policy acts in double precision, which autocast leaves alone"
+        self._require(not (self.use_amp and self.exact), "use_amp", exact)
 
     def _require(self, valid: bool, name: str, allowed: str) -> None:
         if not valid:

@@ -23,7 +23,7 @@ from lerobot.configs import parser
 from lerobot.utils.constants import ACTION, OBS_STATE
 from torch import Tensor
 
-from .configuration_obact import CONTACT, Embodiment, ObActConfig
+from .configuration_obact import CONTACT, IMAGES, SIGHTINGS, Embodiment, ObActConfig
 from .teacher import LONGEST_FRAMES, Targets, Teacher
 
 SCHEMA = 1
@@ -166,11 +166,23 @@ def rules_of(meta: Any) -> dict[str, Any]:
 
 
 def embodiment_of(meta: Any, cameras: list[str]) -> Embodiment:
-    """Return what a dataset says of its clock, its cameras, its hand and its targets."""
+    """Return what a dataset says of its clock, its cameras, its hand and its targets.
+
+    Raises:
+        ValueError: if the dataset knows the poses of its cameras, but has one of ``cameras`` under
+            another name.
+    """
     columns = {HAND_LIMITS, TARGET_PATH}
     for view in map(_view, cameras):
         columns |= {CAMERA_POSE.format(view), CAMERA_INTRINSICS.format(view)}
     constants = columns_of(meta, CONSTANTS, columns)
+    held = {name.replace(SIGHTINGS, IMAGES) for name in meta.features}
+    for key in cameras if constants else ():
+        if key not in held:
+            raise ValueError(
+                f"{meta.repo_id} has no {key}, under whose name ObAct looks up the camera's pose: "
+                f"train without --rename_map, from random weights"
+            )
     speed_m_s, _, latency_ms = constants.get(HAND_LIMITS, [(0.0, 0.0, 0.0)])[0]
     capture = _learnable_capture(meta, constants)
     return Embodiment(
@@ -227,6 +239,8 @@ class TargetTable:
     free: Tensor  # the frame in which the recorded hand has caught it, (E,)
     begin: Tensor  # the frame in which the hand may move, (E,)
     first_index: Tensor  # of the dataset, of the frames of an episode, (E,)
+    # in the loss, of a window, (E,): less in episodes with more windows, so that all count alike
+    weight: Tensor
     teacher: Teacher
 
     @classmethod
@@ -243,7 +257,7 @@ class TargetTable:
             )
         paths = [torch.tensor(np.array(path, np.float32)) for path in constants[TARGET_PATH]]
         flags = torch.tensor(truth[LOCALIZED]).split(count.tolist())
-        free = [int((~held).cumprod(0).sum()) for held in flags]
+        free = torch.tensor([int((~held).cumprod(0).sum()) for held in flags])
         open_joints, closed_joints = (
             torch.tensor(constants[name], dtype=torch.float32).quantile(CLOSED_QUANTILE, dim=0)
             for name in (OPEN_JOINTS, CLOSED_JOINTS)
@@ -251,9 +265,10 @@ class TargetTable:
         return cls(
             path=torch.nn.utils.rnn.pad_sequence(paths, batch_first=True),
             length=torch.tensor([len(path) for path in paths]),
-            free=torch.tensor(free),
+            free=free,
             begin=torch.tensor([frames or 0 for frames in table[WINDOW]], dtype=torch.long),
             first_index=count.cumsum(0) - count,
+            weight=free.float().mean() / free.clamp_min(1),
             teacher=Teacher(
                 fps=embodiment.fps,
                 step_m=embodiment.step_m,

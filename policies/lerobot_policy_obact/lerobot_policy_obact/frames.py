@@ -42,6 +42,12 @@ class Frames(Record):
         """Where the palm is [m], ``(B, T, 3)``."""
         return palm_of(self.state)
 
+    def __getitem__(self, index: Any) -> Self:
+        """Return those of some episodes; all have the same times."""
+        chosen = {"sightings": self.sightings[index], "state": self.state[index]}
+        hidden = None if self.hidden is None else self.hidden[index]
+        return replace(self, **chosen, hidden=hidden)
+
 
 class ObservationHistory:
     """The last frames of the episodes that are played.
@@ -68,6 +74,11 @@ class ObservationHistory:
         # so that timestamps in single precision and counting say the same
         elapsed_s = state.new_tensor([round(time_s - self.began_s, 4)])
         self._frames.append(Frames(sightings[:, None], state[:, None], elapsed_s))
+
+    def keep_rows(self, rows: Any) -> None:
+        """Go on with the environments of rows ``(R,)`` alone."""
+        kept = [frame[rows] for frame in self._frames]
+        self._frames = deque(kept, maxlen=self._frames.maxlen)
 
     def tick(self, now_s: float, fps: float) -> float:
         """Return the time of a robot's clock that is nearest to ``now_s``, after the newest

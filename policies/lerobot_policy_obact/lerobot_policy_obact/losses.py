@@ -36,7 +36,7 @@ RIM, SOFTNESS = 0.9, 0.27
 caught, so wide in radii; a palm at the rim itself counts for 0.6."""
 FAR_M, FAR_WEIGHT, FARTHEST = 0.1, 0.3, 2.0
 """And a part of the distance, in this unit, at most so many, which leads palms that are far off."""
-LEAST_ROLLED = 4  # decisions through which a palm is rolled out, at least
+LEAST_ROLLED = 4  # frames through which a palm is rolled out, at least, if a window has as many
 
 
 def window_losses(model: ObActModel, window: Window, teacher: Teacher | None) -> dict[str, Tensor]:
@@ -59,7 +59,8 @@ def window_losses(model: ObActModel, window: Window, teacher: Teacher | None) ->
     last = torch.minimum(targets.free, targets.length - 2).clamp_max(n) - 1 - late
     spread = torch.rand(len(now), config.n_decisions, device=now.device)
     rows = now + (spread * (last[:, None] - now + 1).clamp_min(0)).long()
-    first = window.begin[:, None].clamp(min=now).clamp_max(n - 1 - LEAST_ROLLED)
+    latest = max(config.n_obs_steps, n - LEAST_ROLLED) - 1
+    first = window.begin[:, None].clamp(min=now).clamp_max(latest)
     rolled = first + torch.arange(config.n_future_steps, device=now.device)
     rolled = rolled.clamp_max(n - 1)
     seen = torch.cat([rows, rolled], dim=1) if config.n_future_steps else rows
@@ -112,6 +113,8 @@ def decisions_at(window: Window, rows: Tensor, teacher: Teacher, config: ObActCo
     answers = teacher.answer(targets, due, palms, config.horizon)
     index = rows[..., None] + torch.tensor(FORECAST_FRAMES, device=rows.device)
     weight = torch.where(answers.reachable, 1.0, UNREACHABLE_WEIGHT)
+    # nothing is decided in a window that only shows what follows a catch
+    weight = weight * (rows < targets.free[:, None])[..., None]
     state = gather_frames(window.frames.state, rows)[:, :, None]
     return Decisions(
         palm=palms,

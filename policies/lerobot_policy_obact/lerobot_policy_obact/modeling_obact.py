@@ -81,6 +81,9 @@ class ObActPolicy(PreTrainedPolicy):
     config_class: ClassVar[type[ObActConfig]] = ObActConfig
     name: ClassVar[str] = "obact"
     config: ObActConfig
+    real_time: ClassVar[bool] = False
+    """Whether the world moves on while a caller who asks for chunks waits: frames without
+    ``timestamp`` are then as old as the wall clock says."""
     _shown: Batch | None = None  # what was observed last, also before `reset`
 
     def __init__(
@@ -123,6 +126,9 @@ class ObActPolicy(PreTrainedPolicy):
         losses = window_losses(self.model if self.training else self.acting, window, teacher)
         logged = {name: float(loss.detach().mean()) for name, loss in losses.items()}
         total = torch.stack([self._weight(name) * loss for name, loss in losses.items()]).sum(0)
+        if self.targets is not None:
+            weight = self.targets.weight[batch["episode_index"].flatten().cpu()].to(total)
+            total = total * weight.repeat_interleave(self.config.n_hands)
         if reduction == "none":
             return rearrange(total, "(b n) -> b n", b=len(batch[ACTION])).mean(1), logged
         return total.mean(), logged
@@ -252,10 +258,23 @@ class ObActPolicy(PreTrainedPolicy):
             self._action_queue.extend(chunk[:, : self.config.n_action_steps].unbind(1))
         return self._action_queue.popleft()
 
+    def keep_rows(self, rows: Any) -> None:
+        """Go on with the environments of the sorted rows ``(R,)`` of the batch alone; what they do
+        does not depend on the others.
+        """
+        self._history.keep_rows(rows)
+        self._commands.keep_rows(rows)
+        self._action_queue = deque(actions[rows] for actions in self._action_queue)
+        self._shown = {key: values[rows] for key, values in (self._shown or {}).items()}
+
     @on_one_thread
     @torch.no_grad()
     def predict_action_chunk(self, batch: Batch, inference_delay: int = 0, **kwargs: Any) -> Tensor:
-        """Return a whole chunk, ``(B, H, A)``; see `observe`.
+        """Return a whole chunk, ``(B, H, A)``.
+
+        A frame is as old as its ``timestamp`` says, or, if the batch has none, ``n_action_steps``
+        later than the one before, as in a simulation that waits. In `real_time`, and if a previous
+        chunk is offered, as by LeRobot's real-time chunking, the wall clock says how old it is.
 
         Its first ``inference_delay`` actions are past when it is there: they are those of the chunk
         before. The others follow from the forecast and from where the palm will be by then, or,
@@ -265,7 +284,9 @@ class ObActPolicy(PreTrainedPolicy):
         chunks follow from one history and need none. The head's errors agree over a whole chunk, so
         guidance towards the first actions of the previous one would keep its outdated forecast.
         """
-        self.observe(batch)
+        config = self.config
+        live = self.real_time or "prev_chunk_left_over" in kwargs
+        self._note(batch, config.n_action_steps / config.embodiment.fps, live=live)
         return self._chunk(inference_delay)
 
     @on_one_thread
@@ -273,14 +294,22 @@ class ObActPolicy(PreTrainedPolicy):
     def observe(self, batch: Batch) -> None:
         """Add a frame to the history without acting, for callers that ask for chunks now and then.
 
-        A frame is as old as its ``timestamp`` says, or, if the batch has none, as the wall clock
-        says, in ticks of ``embodiment.fps``. LeRobot's real-time chunking hands over a frame twice
-        if it asks faster than that: it counts once. After `reset` it hands over the last frame of
-        the previous episode, which is forgotten when another one comes.
+        A frame is as old as its ``timestamp`` says, or, if the batch has none, a tick of
+        ``embodiment.fps`` later than the one before, or, in `real_time`, as the wall clock says.
+        """
+        self._note(batch, 1 / self.config.embodiment.fps, live=self.real_time)
+
+    def _note(self, batch: Batch, step_s: float, *, live: bool) -> None:
+        """Add a frame that is, without ``timestamp``, ``step_s`` later than the one before, or, if
+        the caller is ``live``, as old as the wall clock says, in ticks.
+
+        LeRobot's real-time chunking hands over a frame twice if it asks faster than that: it counts
+        once. After `reset` it hands over the last frame of the previous episode, which is forgotten
+        when another one comes.
         """
         self.eval()
-        now_s = time.monotonic()
-        if "timestamp" not in batch:
+        now_s = time.monotonic() if live else self._history.now_s + step_s
+        if live and "timestamp" not in batch:
             again = self._is_shown_again(batch)
             if again and self._history.newest >= 0:
                 return

@@ -38,7 +38,7 @@ when they are taken from one distance to another: 8 % at 0.25 m and 22 % at 0.7 
 
 LED_SHARE = 0.7  # of the virtual hands, that the policy leads
 RECORDED_SHARE = 0.5  # of the others, that go the recorded way; the rest pursues the target
-LATER_SHARE = 0.4
+LATER_SHARE = 0.1
 """Of the virtual hands, whose targets are shown later on their path than they were recorded: no
 recording goes on after a miss."""
 LATER_M = 0.1  # standard deviation of their palms from the target, along each axis
@@ -62,13 +62,8 @@ class Window(Record):
 
     def repeated(self, n: int) -> Window:
         """Return each window n times in succession."""
-        time_s = self.frames.time_s
-        found = self.map(lambda x: _repeated(x, n))
-        return replace(found, frames=replace(found.frames, time_s=time_s))
-
-
-def _repeated(x: Tensor | Record, n: int) -> Tensor | Record:
-    return x.map(lambda y: _repeated(y, n)) if isinstance(x, Record) else x.repeat_interleave(n, 0)
+        index = torch.arange(len(self.begin), device=self.begin.device)
+        return self[index.repeat_interleave(n)]
 
 
 class VirtualHands:
@@ -101,9 +96,20 @@ class VirtualHands:
         donors = Donors(window, self.model.forecaster.cameras)
         shown = self._with_palm(shown, donors, self._ways(shown, donors, virtual, later))
         assert shown.targets is not None
-        # on its own way a hand decides until the end: it may let the target go again
-        free = torch.where(virtual, shown.targets.length, targets.free)
+        free = torch.where(virtual, self._catch(shown), targets.free)
         return replace(shown, targets=replace(shown.targets, free=free))
+
+    def _catch(self, window: Window) -> Tensor:
+        """Return the frames in which hands have caught their targets, ``(B,)``; of those that do
+        not, the last one that is known.
+        """
+        targets, palm = window.targets, window.frames.palm
+        assert targets is not None
+        frame = torch.arange(palm.shape[1] - 1, device=palm.device)
+        misses = self.teacher.misses(palm - targets.path[:, : palm.shape[1]])
+        caught = (misses < self.teacher.radius_m) & (frame >= window.begin[:, None])
+        first = torch.where(caught, frame + 1, targets.length[:, None])
+        return torch.cat([first, targets.length[:, None]], dim=1).amin(1)
 
     def _ways(self, window: Window, donors: Donors, virtual: Tensor, later: Tensor) -> Tensor:
         """Return the ways of the palms ``(B, L, 3)`` [m].
@@ -130,13 +136,15 @@ class VirtualHands:
             palm = stepped(way[-1], goal + pushes[:, t], embodiment.step_m)
             way.append(torch.where((begin + late <= t)[:, None], palm, way[-1]))
         ways = torch.where(virtual[:, None, None], torch.stack(way, dim=1), recorded)
-        frames = self._with_palm(window, donors, ways).frames
-        rows = torch.arange(n - 1 - late, device=device).expand(b, -1)
-        forecast = self.model.encode_history(frames, rows)
-        start, state = ways[:, : late + 1], frames.state[:, 0]
-        led = rolled_out(self.model, forecast, start, state, begin=begin, pushes=pushes)
-        is_led = virtual & _chance(LED_SHARE, b, device)
-        return torch.where(is_led[:, None, None], led, ways)
+        led = virtual & _chance(LED_SHARE, b, device)
+        seen = self._with_palm(window, donors, ways).frames[led]
+        rows = torch.arange(max(0, n - 1 - late), device=device).expand(len(seen.state), -1)
+        forecast = self.model.encode_history(seen, rows)
+        start, state = ways[led, : late + 1], seen.state[:, 0]
+        ways[led] = rolled_out(
+            self.model, forecast, start, state, begin=begin[led], pushes=pushes[led]
+        )
+        return ways
 
     def _pushes(self, spread_m: Tensor, begin: Tensor, n: int) -> Tensor:
         """Return by how much goals are off in n frames, ``(B, n, 3)`` [m]; that changes when a hand
