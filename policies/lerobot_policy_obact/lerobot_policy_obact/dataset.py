@@ -57,9 +57,9 @@ def adopt(config: ObActConfig, meta: Any) -> TargetTable | None:
     """
     config.rules = rules_of(meta)
     config.validate_features()
-    _check_encoder(config, meta)
     forecast_before = bool(config.embodiment.capture)
     config.embodiment = embodiment_of(meta, config.cameras)
+    _check_encoder(config, meta)
     if config.pretrained_path and not forecast_before:
         # without a forecast the network has other layers
         config.embodiment = replace(config.embodiment, capture="")
