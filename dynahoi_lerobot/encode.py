@@ -8,7 +8,7 @@ loads where it could not decode as many images.
 
 import json
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import redirect_stderr
 from dataclasses import dataclass, replace
 from io import StringIO
@@ -18,14 +18,22 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.core.arguments import argument, option
-from dynahoi_lerobot.core.features import EYE, IMAGE_PREFIX, OBSERVATION_PREFIX
+from dynahoi_lerobot.core.conventions import EGO_VIEW, PALM_DOF
+from dynahoi_lerobot.core.features import (
+    ENVIRONMENT_STATE,
+    EYE,
+    IMAGE_PREFIX,
+    OBSERVATION_PREFIX,
+    SIGHTING_NAMES,
+)
 from dynahoi_lerobot.core.files import new_folder
 from dynahoi_lerobot.core.image_sensor import ImageSensor, image_sensor
 from dynahoi_lerobot.core.reading import reading
 from dynahoi_lerobot.dataset import paths
 from dynahoi_lerobot.dataset.manifest import ENCODED, Manifest, hash_files
 from dynahoi_lerobot.dataset.statistics import column_stats
-from dynahoi_lerobot.dataset.store import Store, open_dataset
+from dynahoi_lerobot.dataset.store import Store, episode_column, frame_column, open_dataset
+from dynahoi_lerobot.world.detector import eye_state
 
 SIGHTINGS_PREFIX = OBSERVATION_PREFIX + "sightings."
 """What the key of a column begins with that holds the sightings in a view."""
@@ -38,21 +46,36 @@ class Options:
     root: Path = argument("dataset folder; it is not changed")
     out: Path = argument("folder of the new dataset, which must not exist")
     sensor: str = option(EYE, "image sensor that an installed package brings")
+    environment_state: bool = option(
+        False,
+        "also add observation.environment_state, for policies without history: where the eye sees "
+        "the target from the hand's camera, now and 2, 4 and 8 frames ago",
+    )
 
 
 def run(options: Options) -> int:
     """Encode the dataset, print a summary, and return the exit code."""
-    manifest = encode(options.root, options.out, options.sensor)
+    manifest = encode(
+        options.root, options.out, options.sensor, environment_state=options.environment_state
+    )
     told = {"root": str(options.out), "episodes": manifest.episodes, "frames": manifest.frames}
     print(json.dumps(told | {"sha256": manifest.digest}, indent=2))
     return 0
 
 
-def encode(root: Path, output: Path, sensor: str = EYE) -> Manifest:
+def encode(
+    root: Path, output: Path, sensor: str = EYE, *, environment_state: bool = False
+) -> Manifest:
     """Write a copy of a dataset with sightings instead of images; ``output`` appears when it is
     complete.
 
     Everything else that the dataset holds is kept, also what policies must not see.
+
+    Args:
+        root: the dataset.
+        output: folder of the copy.
+        sensor: name of an image sensor.
+        environment_state: also add what environments show under ``environment_state=eye``.
 
     Raises:
         FileExistsError: if ``output`` exists.
@@ -73,12 +96,19 @@ def encode(root: Path, output: Path, sensor: str = EYE) -> Manifest:
     dataset = open_dataset(root)
     columns = dict(zip(views, _sightings(store, views), strict=True))
     added: dict[str, Any] = {
-        SIGHTINGS_PREFIX + view: (
-            values,
-            {"dtype": "float32", "shape": [values.shape[1]], "names": [*views[view].names]},
-        )
+        SIGHTINGS_PREFIX + view: (values, _vector(values, views[view].names))
         for view, values in columns.items()
     }
+    provenance = manifest.provenance | {ENCODED: {"sensor": sensor, "from": manifest.digest}}
+    if environment_state:
+        if sensor != EYE or EGO_VIEW not in views:
+            raise ValueError(
+                f"{root} has no images of the hand's camera for the eye to see: the views are "
+                f"{', '.join(views)} and the sensor is {sensor!r}"
+            )
+        values = _eye_states(store, type(views[EGO_VIEW]), columns[EGO_VIEW])
+        added[ENVIRONMENT_STATE] = (values, _vector(values, SIGHTING_NAMES))
+        provenance = _with_rule(provenance, "environment_state", EYE)
     with new_folder(output) as folder:
         with redirect_stderr(StringIO()):  # two bars of progress for seconds
             modify_features(dataset, added, store.image_keys, folder, dataset.repo_id)
@@ -88,7 +118,6 @@ def encode(root: Path, output: Path, sensor: str = EYE) -> Manifest:
             found = column_stats(values)
             stats[key] = {name: value.tolist() for name, value in found.items()}
         paths.write_json(stats, folder / paths.STATS_PATH)
-        provenance = manifest.provenance | {ENCODED: {"sensor": sensor, "from": manifest.digest}}
         signed = replace(manifest, provenance=provenance, files=hash_files(folder))
         signed.write(folder)
     return signed
@@ -104,6 +133,35 @@ def _sightings(store: Store, views: dict[str, ImageSensor]) -> Iterator[np.ndarr
                 before = np.concatenate([images[:1], images[:-1]])
                 found[view].append(sensor.see(images, before))
     return (np.concatenate(parts) for parts in found.values())
+
+
+def _vector(values: np.ndarray, names: Sequence[str]) -> dict[str, Any]:
+    """Return LeRobot's description of a column (N, D)."""
+    return {"dtype": "float32", "shape": [values.shape[1]], "names": [*names]}
+
+
+def _eye_states(store: Store, sensor: type[ImageSensor], sightings: np.ndarray) -> np.ndarray:
+    """Return what environments would have shown of the sightings (N, 5) of all frames, (N, 14)."""
+    palms = frame_column(store.root, "observation.state")[:, :PALM_DOF]
+    ends = np.cumsum(store.lengths)[:-1]
+    episodes = zip(
+        np.split(sightings, ends),
+        np.split(palms, ends),
+        episode_column(store.root, "ego_camera"),
+        episode_column(store.root, "ego_intrinsics"),
+        strict=True,
+    )
+    return np.concatenate([eye_state(sensor, *episode) for episode in episodes])
+
+
+def _with_rule(provenance: dict[str, Any], name: str, value: str) -> dict[str, Any]:
+    """Return a provenance whose rules, if it has any, say something else."""
+    recording = provenance.get("recording")
+    if not recording:
+        return provenance
+    rules = recording["recipe"]["rules"] | {name: value}
+    recipe = recording["recipe"] | {"rules": rules}
+    return provenance | {"recording": recording | {"recipe": recipe}}
 
 
 def _copy_unknown(source: Path, target: Path) -> None:

@@ -5,7 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from accelerate.state import AcceleratorState
 from lerobot.datasets import LeRobotDataset
+from lerobot.scripts.lerobot_train import main as lerobot_train
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.features import IMAGE_PREFIX
@@ -13,9 +15,11 @@ from dynahoi_lerobot.core.image_sensor import image_sensor
 from dynahoi_lerobot.dataset import episode_column, frame_column, read_episodes
 from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
 from dynahoi_lerobot.dataset.store import Store
-from dynahoi_lerobot.encode import SIGHTINGS_PREFIX
+from dynahoi_lerobot.encode import SIGHTINGS_PREFIX, encode
+from dynahoi_lerobot.evaluate.checkpoint import trained_for
+from dynahoi_lerobot.world.detector import Detector
 from tests.conftest import Once
-from tests.tools import flip_byte
+from tests.tools import flip_byte, generated
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +88,61 @@ def test_files_that_lerobot_knows_nothing_of_are_kept(dataset: Path, tmp_path: P
     (root / "meta/ours/notes.txt").write_text("kept")
     assert main(["encode", str(root), str(out)]) == 0
     assert (out / "meta/ours/notes.txt").read_text() == "kept"
+
+
+@pytest.fixture(scope="module")
+def with_state(dataset: Path, once: Once) -> Path:
+    def make(out: Path) -> Path:
+        assert main(["encode", str(dataset), str(out), "--environment-state"]) == 0
+        return out
+
+    return once("encoded_state", make)
+
+
+def test_the_environment_state_is_what_environments_show_of_the_same_images(
+    dataset: Path, with_state: Path
+):
+    found, states = frame_column(with_state, "observation.environment_state"), []
+    poses, intrinsics = (
+        episode_column(dataset, f"ego_{name}") for name in ("camera", "intrinsics")
+    )
+    for i, episode in enumerate(read_episodes(dataset, [0, 1])):
+        shown = Detector(image_sensor("eye")("ego"), 2, poses[i], intrinsics[i])
+        for frame, image in enumerate(episode.images["ego"]):
+            images = np.stack([np.zeros_like(image), image])
+            palm = np.stack([np.zeros(3), episode.state[frame, :3]])
+            states.append(shown.see(images, palm, np.array([1]), np.full(2, frame))[1])
+    np.testing.assert_allclose(found[: len(states)], states, atol=2e-4)
+    assert np.ptp(found[:, :12], axis=0).min() > 0.01, "targets move"
+
+
+def test_what_was_seen_earlier_is_the_place_of_then(with_state: Path):
+    found, length = frame_column(with_state, "observation.environment_state"), 20
+    now = found[:length, :3]
+    for column, age in enumerate((0, 2, 4, 8)):
+        before = now[np.maximum(np.arange(length) - age, 0)]
+        np.testing.assert_array_equal(found[:length, 3 * column : 3 * column + 3], before)
+
+
+def test_act_learns_from_it_and_its_checkpoint_asks_environments_for_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    words = ("--image-size", "96", "--control-mode", "grasp")
+    root = generated(tmp_path / "images", *words, episodes=2)
+    with_state = tmp_path / "encoded"
+    encode(root, with_state, environment_state=True)
+    assert main(["verify", str(with_state)]) == 0
+    small = {"dim_model": 16, "n_heads": 2, "dim_feedforward": 16, "chunk_size": 4}
+    words = [f"--policy.{key}={value}" for key, value in small.items()]
+    recipe = Path(__file__).parents[1] / "recipes/train/act.yaml"
+    words += [f"--config_path={recipe}", "--env=null", "--policy.device=cpu", "--num_workers=0"]
+    words += [f"--dataset.root={with_state}", f"--output_dir={tmp_path / 'act'}"]
+    words += ["--steps=2", "--save_freq=2", "--batch_size=4"]
+    monkeypatch.setattr("sys.argv", ["lerobot-train", *words])
+    AcceleratorState._reset_state(reset_partial_state=True)
+    lerobot_train()
+    told = trained_for(tmp_path / "act/checkpoints/last/pretrained_model")
+    assert told["environment_state"] == "eye"
 
 
 @pytest.mark.parametrize(

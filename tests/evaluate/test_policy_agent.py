@@ -24,10 +24,12 @@ CHECKPOINT = str(SHIPPED)
 
 def test_settings_change_the_config_and_nothing_else() -> None:
     plain = PolicyAgent(CHECKPOINT)._policy.config
-    changed = PolicyAgent(CHECKPOINT, settings=["n_action_steps=2", "noise_seed=3"])._policy.config
-    assert (plain.n_action_steps, plain.noise_seed) == (1, 0)
-    assert (changed.n_action_steps, changed.noise_seed) == (2, 3)
-    assert {**changed.__dict__, "n_action_steps": 1, "noise_seed": 0} == plain.__dict__
+    changed = PolicyAgent(
+        CHECKPOINT, settings=["n_action_steps=2", "inference_delay=3"]
+    )._policy.config
+    assert (plain.n_action_steps, plain.inference_delay) == (1, 0)
+    assert (changed.n_action_steps, changed.inference_delay) == (2, 3)
+    assert {**changed.__dict__, "n_action_steps": 1, "inference_delay": 0} == plain.__dict__
 
 
 @pytest.mark.parametrize("mode", ["async", "rtc"])
@@ -110,7 +112,9 @@ def test_guidance_continues_what_is_left_of_a_chunk_or_where_it_led(specs, monke
     assert left == [len(chunk) - 2, 1]
 
 
-@pytest.mark.parametrize("setting", ["delay=3", "noise_seed", "n_action_steps=9", "noise_seed=few"])
+@pytest.mark.parametrize(
+    "setting", ["delay=3", "inference_delay", "n_action_steps=9", "inference_delay=few"]
+)
 def test_what_cannot_be_set_is_named(setting: str) -> None:
     with pytest.raises(PolicyError, match=f"cannot set '?{setting}"):
         PolicyAgent(CHECKPOINT, settings=[setting])

@@ -10,24 +10,33 @@ import torch
 from einops import einsum, rearrange, repeat
 from torch import Tensor, nn
 
-AGE_STEP_S, N_AGES = 0.05, 128
-"""A bias by age is learned at this many ages, this far apart, and interpolated between them."""
+AGE_STEP_S = 0.05
+N_AGES = 128
+"""A bias by age is learned at this many ages, this far apart, and interpolated between them: up to
+6.35 s, and the same for all that is older."""
 SAME_TIME_S = 1e-3
 """Frames whose times differ by less are of the same time; none is as fast."""
-KEY_DIM = 16
+REACH_CELLS = 2
+"""Cells on each side of the peak of attention in space that count: about the size of a target that
+is near."""
+KEY_DIM = 16  # of a readout, which tells few frames apart
+FIRST_AGES = 24
+FIRST_DECAY = 0.3
+"""Readouts begin by looking at ages spread over this many steps, with a bias that falls by so much
+for each step from there."""
 
 
 class SpatialAttention(nn.Module):
     """Where in the image: a learned query attends to cells of ``dim`` features, whose values are
     their viewing rays.
 
-    A mean over the whole map would look between two things that may be the target, so only
-    ``reach`` cells on each side of the peak count.
+    A mean over the whole map would look between two things that may be the target, so only cells
+    near the peak count.
     """
 
-    def __init__(self, dim: int, reach: int = 2) -> None:
+    def __init__(self, dim: int) -> None:
         super().__init__()
-        self.query, self.reach = nn.Linear(dim, 1), reach
+        self.query = nn.Linear(dim, 1)
 
     def forward(self, cells: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Attend to cells ``(F, h, w, D)``, rows downwards. Return the ray (u to the right, v
@@ -35,17 +44,15 @@ class SpatialAttention(nn.Module):
         attention, not cut to the peak, ``(F, h, w)``.
         """
         h, w = cells.shape[1:3]
-        rays, flat = cell_rays(h, w, cells.device), rearrange(cells, "f h w d -> f (h w) d")
+        rays = cell_rays(h, w, cells.device)
+        flat = rearrange(cells, "f h w d -> f (h w) d")
         heat = rearrange(self.query(flat), "f n 1 -> f n").log_softmax(-1)
         size = heat.new_tensor([2 / w, 2 / h])
-        far = ((rays - rays[heat.argmax(-1)][:, None]).abs() > (self.reach + 0.5) * size).any(-1)
+        far = ((rays - rays[heat.argmax(-1)][:, None]).abs() > (REACH_CELLS + 0.5) * size).any(-1)
         weights = heat.masked_fill(far, float("-inf")).softmax(-1)
         ray = einsum(weights, rays.to(weights.dtype), "f n, n i -> f i")
-        return (
-            ray,
-            einsum(weights, flat, "f n, f n d -> f d"),
-            rearrange(heat, "f (h w) -> f h w", h=h),
-        )
+        there = einsum(weights, flat, "f n, f n d -> f d")
+        return ray, there, rearrange(heat, "f (h w) -> f h w", h=h)
 
 
 def cell_rays(height: int, width: int, device: torch.device) -> Tensor:
@@ -71,9 +78,8 @@ class AgeBias(nn.Module):
         place = (age_s / AGE_STEP_S).clamp(0, N_AGES - 1)
         younger = place.floor().long().clamp_max(N_AGES - 2)
         between = (place - younger)[..., None]  # linear interpolation
-        near, far = (
-            nn.functional.embedding(index, self.table.T) for index in (younger, younger + 1)
-        )
+        near = nn.functional.embedding(younger, self.table.T)
+        far = nn.functional.embedding(younger + 1, self.table.T)
         bias = rearrange(torch.lerp(near, far, between), "q k heads -> heads q k")
         return bias.masked_fill(age_s < -SAME_TIME_S, float("-inf"))
 
@@ -86,12 +92,11 @@ class TemporalBlock(nn.Module):
     def __init__(self, dim: int, n_heads: int) -> None:
         super().__init__()
         self.n_heads = n_heads
-        self.norm_1, self.norm_2 = nn.LayerNorm(dim), nn.LayerNorm(dim)
-        self.qkv, self.out, self.bias = (
-            nn.Linear(dim, 3 * dim),
-            nn.Linear(dim, dim),
-            AgeBias(n_heads),
-        )
+        self.norm_1 = nn.LayerNorm(dim)
+        self.qkv = nn.Linear(dim, 3 * dim)
+        self.bias = AgeBias(n_heads)
+        self.out = nn.Linear(dim, dim)
+        self.norm_2 = nn.LayerNorm(dim)
         self.mlp = nn.Sequential(nn.Linear(dim, 2 * dim), nn.GELU(), nn.Linear(2 * dim, dim))
 
     def forward(self, tokens: Tensor, age_s: Tensor, hidden: Tensor | None) -> Tensor:
@@ -118,15 +123,14 @@ class PositionReadout(nn.Module):
     def __init__(self, dim: int, n_points: int) -> None:
         super().__init__()
         self.n_points = n_points
-        self.query, self.key, self.bias = (
-            nn.Linear(dim, n_points * KEY_DIM),
-            nn.Linear(dim, KEY_DIM),
-            AgeBias(n_points),
-        )
-        with torch.no_grad():  # each begins by looking at an age of its own
+        self.query = nn.Linear(dim, n_points * KEY_DIM)
+        self.key = nn.Linear(dim, KEY_DIM)
+        self.bias = AgeBias(n_points)
+        with torch.no_grad():
             table = self.bias.table
-            ages = torch.linspace(0, 24, n_points, device=table.device)
-            table.copy_(-0.3 * (torch.arange(N_AGES, device=table.device) - ages[:, None]).abs())
+            own = torch.linspace(0, FIRST_AGES, n_points, device=table.device)
+            away = (torch.arange(N_AGES, device=table.device) - own[:, None]).abs()
+            table.copy_(-FIRST_DECAY * away)
 
     def forward(
         self,

@@ -7,9 +7,11 @@ import torch
 from torch import Tensor, nn
 
 NEAREST_M = 0.01  # what is behind a camera counts as this far in front of it
-UNIT_PER_DISTANCE = (
-    1.5  # depth whose logarithm counts as 0, in distances of the camera from the palm at home
-)
+UNIT_PER_DISTANCE = 1.5
+"""Depth whose logarithm counts as 0, in distances of the camera from the palm at home."""
+LOG_DEPTHS = (-4.0, 3.0)
+"""Log depths are cut to these, from 2 % of that depth to twenty times as far: an eye that has seen
+nothing may say anything."""
 
 
 class Pinhole(nn.Module):
@@ -32,7 +34,8 @@ class Pinhole(nn.Module):
         self, pos_m: list[float], axes: list[list[float]], half_view: float, *, carried: bool
     ) -> None:
         super().__init__()
-        self.half_view, self.carried = half_view, carried
+        self.half_view = half_view
+        self.carried = carried
         self.unit_m = UNIT_PER_DISTANCE * math.hypot(*pos_m) or 1.0
         self.register_buffer("pos", torch.tensor(pos_m, dtype=torch.float32), persistent=False)
         self.register_buffer("axes", torch.tensor(axes, dtype=torch.float32), persistent=False)
@@ -48,6 +51,11 @@ class Pinhole(nn.Module):
         forward = [-2 * (x * z + w * y), -2 * (y * z - w * x), -(1 - 2 * (x * x + y * y))]
         return cls(list(pose[:3]), [right, up, forward], half_view, carried=carried)
 
+    @classmethod
+    def calibrated(cls, calibration: list[float]) -> Self:
+        """Return the camera of a calibration, see `Embodiment`."""
+        return cls.from_pose(calibration[:7], calibration[7], carried=bool(calibration[8]))
+
     def origin(self, palm: Tensor) -> Tensor:
         """Return what positions count from when the palm is at ``(..., 3)`` [m], in the frame of
         the state.
@@ -56,7 +64,7 @@ class Pinhole(nn.Module):
 
     def place(self, seen: Tensor) -> Tensor:
         """Map ``(u, v, log depth)`` to positions from the origin [m], world axes, ``(..., 3)``."""
-        depth = self.unit_m * seen[..., 2:].clamp(-4.0, 3.0).exp()
+        depth = self.unit_m * seen[..., 2:].clamp(*LOG_DEPTHS).exp()
         ray = torch.cat([self.half_view * seen[..., :2], torch.ones_like(depth)], dim=-1)
         return self.pos + depth * ray @ self.axes
 

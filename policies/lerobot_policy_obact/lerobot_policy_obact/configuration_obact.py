@@ -13,7 +13,24 @@ from .encoders import ENCODERS, SHIPPED
 from .gr00t_head import Gr00tHead
 from .heads import ActionHead, DiffusionDenoiser, FlowDenoiser
 
-MAX_SAMPLING = 100  # most steps, and most draws, of a head
+AT_LEAST = {
+    "n_obs_steps": 1,
+    "n_future_steps": 0,
+    "drop_n_last_frames": 0,
+    "horizon": 1,
+    "inference_delay": 0,
+    "dim": 1,
+    "n_layers": 0,
+    "n_heads": 1,
+    "n_points": 0,
+    "width": 1,
+    "n_hands": 1,
+    "n_decisions": 1,
+    "forecast_weight": 0,
+    "closed_loop_weight": 0,
+    "imitation_steps": 0,
+}
+"""Options by the least that they may be."""
 HEADS: dict[str, Callable[..., Any]] = {
     "diffusion": partial(ActionHead, DiffusionDenoiser),
     "flow": partial(ActionHead, FlowDenoiser),
@@ -23,10 +40,14 @@ HEADS: dict[str, Callable[..., Any]] = {
 CONTACT = "contact"
 """The rule of capture under which targets must be gripped; under all others the palm has to come
 near enough."""
-SIGHTINGS, IMAGES = "observation.sightings.", "observation.images."
-"""Keys of what a frozen encoder saw in the images of a view, and of those images."""
+DISPLACEMENTS = "grasp"
+"""The control mode in which actions say how far the palm goes from where it is, not where to."""
+IMAGES = "observation.images."
+SIGHTINGS = "observation.sightings."
+"""Keys of the images of a view, and of what the frozen eye saw in them."""
 EYE_PX = 96  # side of the images that the eyes that ship have learned from
 RELATIVE_DIMS = 3  # coordinates of a place, where state and action have as many
+FINAL_LR_SHARE = 0.02  # of the learning rate, to which the schedule decays
 
 
 @dataclass(frozen=True)
@@ -71,7 +92,8 @@ class ObActConfig(PreTrainedConfig):
     relative_dims: int | None = None
     """Leading entries of an action that say where to go in the frame of the same entries of
     ``observation.state`` [m]; they are predicted as displacements. 0 for actions of another kind.
-    By default three, or as many as both have."""
+    By default three, or as many as both have; 0 if the dataset says that its actions are
+    displacements."""
 
     encoder: str = ""
     """One of `ENCODERS`. By default the eye, with the weights that ship, where there are such for
@@ -83,10 +105,6 @@ class ObActConfig(PreTrainedConfig):
     """Whether training leaves its weights alone; by default if they have been trained before."""
     head: str = "diffusion"  # one of `HEADS`
     head_options: dict[str, Any] = field(default_factory=dict)  # keyword options of that head
-    noise_seed: int = 0
-    """Of the noise that actions are sampled from. It is drawn anew for every decision, but as a
-    function of the frame's number in its episode alone, so that a policy is a function of what it
-    sees."""
     dim: int = 128  # size of a frame's token, ``D``
     n_layers: int = 2  # temporal attention blocks
     n_heads: int = 4  # heads of each
@@ -99,7 +117,6 @@ class ObActConfig(PreTrainedConfig):
     forecast_weight: float = 1.0
     """Weight of the loss of the forecast; 0 learns the recorded actions alone, without the target's
     path."""
-    action_weight: float = 1.0  # weight of the loss of imitation
     closed_loop_weight: float = 4.0  # weight of the loss of palms that are rolled out, see `losses`
     imitation_steps: int = 150
     """Steps before that loss counts: hands led by random weights would teach little."""
@@ -125,28 +142,8 @@ class ObActConfig(PreTrainedConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in (
-            "n_obs_steps",
-            "horizon",
-            "n_hands",
-            "n_decisions",
-            "dim",
-            "n_heads",
-            "width",
-        ):
-            self._require(getattr(self, name) >= 1, name, "1 or more")
-        weights = ("forecast_weight", "action_weight", "closed_loop_weight")
-        counts = (
-            "n_future_steps",
-            "drop_n_last_frames",
-            "inference_delay",
-            "n_points",
-            "n_layers",
-            "noise_seed",
-            "imitation_steps",
-        )
-        for name in (*counts, *weights):
-            self._require(getattr(self, name) >= 0, name, "0 or more")
+        for name, least in AT_LEAST.items():
+            self._require(getattr(self, name) >= least, name, f"{least} or more")
         self._require(
             1 <= self.n_action_steps <= self.horizon,
             "n_action_steps",
@@ -164,17 +161,6 @@ class ObActConfig(PreTrainedConfig):
         self._require(identity, "normalization_mapping", allowed)
         exact = "false: this policy acts in double precision, which autocast leaves alone"
         self._require(not (self.use_amp and self.exact), "use_amp", exact)
-        for name in ("n_steps", "n_draws"):
-            value = self.head_options.get(name, 1)
-            if not 1 <= value <= MAX_SAMPLING:
-                raise ValueError(
-                    f"head_options.{name} is {value}, but must be 1 to {MAX_SAMPLING}."
-                )
-        value = self.head_options.get("closing_quantile", 0.5)
-        if not 0 <= value < 1:
-            raise ValueError(
-                f"head_options.closing_quantile is {value}, but must be 0 or more and below 1."
-            )
 
     def _require(self, valid: bool, name: str, allowed: str) -> None:
         if not valid:
@@ -276,11 +262,12 @@ class ObActConfig(PreTrainedConfig):
         state = self.robot_state_feature
         most = min(state.shape[0] if state else 0, self.action_feature.shape[0])
         if self.relative_dims is None:
-            self.relative_dims = min(RELATIVE_DIMS, most)
+            displaces = self.rules.get("control_mode") == DISPLACEMENTS
+            self.relative_dims = 0 if displaces else min(RELATIVE_DIMS, most)
         allowed = f"0 to {most}, which state and action both have"
         self._require(0 <= self.relative_dims <= most, "relative_dims", allowed)
-        seen = {f"{key.split('.')[-1]}_{x.shape[-1]}" for key, x in self.image_features.items()}
-        pretrained = seen <= SHIPPED.keys()
+        eyes = {f"{key.split('.')[-1]}_{x.shape[-1]}" for key, x in self.image_features.items()}
+        pretrained = eyes <= SHIPPED.keys()
         if not self.encoder:
             self.encoder = "eye" if pretrained else "conv"
         if self.encoder == "eye" and pretrained and not self.encoder_options:
@@ -290,8 +277,11 @@ class ObActConfig(PreTrainedConfig):
 
     def get_optimizer_preset(self) -> AdamWConfig:
         """Return AdamW as LeRobot builds it when no optimizer is given."""
-        decay, clip = self.optimizer_weight_decay, self.optimizer_grad_clip_norm
-        return AdamWConfig(lr=self.optimizer_lr, weight_decay=decay, grad_clip_norm=clip)
+        return AdamWConfig(
+            lr=self.optimizer_lr,
+            weight_decay=self.optimizer_weight_decay,
+            grad_clip_norm=self.optimizer_grad_clip_norm,
+        )
 
     def get_scheduler_preset(self) -> CosineDecayWithWarmupSchedulerConfig:
         """Return a warm-up and cosine decay, which LeRobot shortens to the steps of the run."""
@@ -299,7 +289,7 @@ class ObActConfig(PreTrainedConfig):
             num_warmup_steps=self.scheduler_warmup_steps,
             num_decay_steps=self.scheduler_decay_steps,
             peak_lr=self.optimizer_lr,
-            decay_lr=0.02 * self.optimizer_lr,
+            decay_lr=FINAL_LR_SHARE * self.optimizer_lr,
         )
 
 

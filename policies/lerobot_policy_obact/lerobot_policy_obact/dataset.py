@@ -11,33 +11,122 @@ import json
 import logging
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
 import torch
+import yaml
+from lerobot.configs import parser
 from lerobot.utils.constants import ACTION, OBS_STATE
 from torch import Tensor
 
-from .configuration_obact import CONTACT, IMAGES, SIGHTINGS, Embodiment
+from .configuration_obact import CONTACT, IMAGES, SIGHTINGS, Embodiment, ObActConfig
 from .teacher import LONGEST_FRAMES, Targets, Teacher
 
-# the tables of a DynaHOI dataset with a row per episode, per frame, and per episode again, and
-# their columns, see its card
-EPISODES, CAPTURE, WINDOW = "meta/episodes", "capture", "window_frames"
-TRUTH, LOCALIZED = "meta/privileged", "localized"
-CONSTANTS, TARGET_PATH, HAND_LIMITS = "meta/privileged_episodes", "target_path", "hand_limits"
-OPEN_JOINTS, CLOSED_JOINTS = "open_joints", "reference_joints"
-CAMERA_POSE, CAMERA_INTRINSICS = "{}_camera", "{}_intrinsics"
 SCHEMA = 1
-"""Of the datasets of DynaHOI that are read here."""
+"""Of the datasets of DynaHOI that are read here. Their tables and columns, see the card of one:"""
+EPISODES = "meta/episodes"  # a row per episode
+CAPTURE = "capture"
+WINDOW = "window_frames"
+TRUTH = "meta/privileged"  # a row per frame
+LOCALIZED = "localized"
+CONSTANTS = "meta/privileged_episodes"  # a row per episode
+TARGET_PATH = "target_path"
+HAND_LIMITS = "hand_limits"
+OPEN_JOINTS = "open_joints"
+CLOSED_JOINTS = "reference_joints"
+CAMERA_POSE = "{}_camera"
+CAMERA_INTRINSICS = "{}_intrinsics"
 RADIUS_M = {"attach": 0.03, "attach_lenient": 0.1}
 """Within which a palm has the target, by the rule of capture."""
 CARRIED_VIEW = "ego"  # the view of the camera that the palm carries
 CLOSED_QUANTILE = 0.6
 """Objects differ by 6 % in how far a hand closes around them; closing a little too far grasps more
 of them."""
+
+
+def adopt(config: ObActConfig, meta: Any) -> TargetTable | None:
+    """Take over what a dataset says of robot, rules and features into a config; return its targets
+    if the policy learns to forecast them.
+
+    Raises:
+        ValueError: if the policy cannot learn from the dataset as it is configured.
+    """
+    config.rules = rules_of(meta)
+    config.validate_features()
+    forecast_before = bool(config.embodiment.capture)
+    config.embodiment = embodiment_of(meta, config.cameras)
+    _check_encoder(config, meta)
+    if config.pretrained_path and not forecast_before:
+        # without a forecast the network has other layers
+        config.embodiment = replace(config.embodiment, capture="")
+    if config.pretrained_path and forecast_before and not config.forecasts:
+        raise ValueError(
+            f"{config.pretrained_path} learned to forecast the target, but from {meta.repo_id} it "
+            "would learn actions alone, by another network; train from random weights, or on a "
+            "dataset with the target's path (dynahoi generate --actor)"
+        )
+    if not config.forecasts:
+        config.embodiment = replace(config.embodiment, capture="")
+        _warn(config, meta, "it learns actions alone, without the target's path")
+        return None
+    if not config.n_future_steps:
+        _warn(config, meta, "n_future_steps is 0")
+    # it reads no other vectors, which a robot may not have
+    read = {*config.cameras, OBS_STATE}
+    features = config.input_features or {}
+    config.input_features = {key: x for key, x in features.items() if key in read}
+    return TargetTable.of(meta, config.embodiment)
+
+
+def _warn(config: ObActConfig, meta: Any, reason: str) -> None:
+    """Say why the closed loop is off for a dataset that was encoded for it."""
+    if is_encoded(config, meta):
+        logging.warning("the closed loop is off for %s: %s", meta.repo_id, reason)
+
+
+def is_encoded(config: ObActConfig, meta: Any) -> bool:
+    """Whether a dataset has sightings in place of the images."""
+    return meta.features.keys() >= {*config.sighting_keys}
+
+
+def _check_encoder(config: ObActConfig, meta: Any) -> None:
+    """Refuse what an encoder would ignore, or could not see."""
+    encoded = is_encoded(config, meta)
+    if config.n_future_steps and not encoded:
+        raise ValueError(
+            f"n_future_steps is {config.n_future_steps}, but must be 0 for a dataset with images, "
+            "of which it would decode as many more: `dynahoi encode` turns them into sightings"
+        )
+    whole = config.encoder == "eye" and not config.encoder_options.get("embedding")
+    if encoded and not (whole and config.freeze_encoder):
+        raise ValueError(
+            f"{meta.repo_id} has sightings instead of images, which only the frozen eye without an "
+            f"embedding reads, but encoder is {config.encoder!r}, freeze_encoder "
+            f"{config.freeze_encoder} and encoder_options {config.encoder_options}"
+        )
+    if config.freeze_encoder and image_transforms_enabled():
+        raise ValueError(
+            "dataset.image_transforms.enable is true, but must be false for a frozen encoder, "
+            "which has learned from other images and cannot learn from these"
+        )
+
+
+def image_transforms_enabled() -> bool:
+    """Whether `lerobot-train` was asked to change images at random.
+
+    It shows that to no policy, so its command line and config file are read, as LeRobot itself does
+    for the path of a policy. A training that a program starts by a function call is not seen.
+    """
+    told = parser.parse_arg("dataset.image_transforms.enable")
+    file = parser.parse_arg("config_path")
+    if told is None and file and Path(file).is_file():
+        dataset = yaml.safe_load(Path(file).read_text()).get("dataset") or {}
+        told = (dataset.get("image_transforms") or {}).get("enable")
+    return str(told).lower() in ("true", "1", "yes")
 
 
 def columns_of(meta: Any, folder: str, wanted: Iterable[str]) -> dict[str, list[Any]]:
@@ -83,18 +172,10 @@ def embodiment_of(meta: Any, cameras: list[str]) -> Embodiment:
         ValueError: if the dataset knows the poses of its cameras, but has one of ``cameras`` under
             another name.
     """
-    views = {key: key.split(".")[-1] for key in cameras}
-    of_cameras = {
-        name.format(view) for view in views.values() for name in (CAMERA_POSE, CAMERA_INTRINSICS)
-    }
-    constants = columns_of(meta, CONSTANTS, of_cameras | {HAND_LIMITS, TARGET_PATH})
-    captures = columns_of(meta, EPISODES, {CAPTURE}).get(CAPTURE)
-    if captures and not constants:
-        logging.warning(
-            "%s is gone, which LeRobot's tools drop when they edit a dataset: the closed loop is "
-            "off, and only actions are learned",
-            meta.root / CONSTANTS,
-        )
+    columns = {HAND_LIMITS, TARGET_PATH}
+    for view in map(_view, cameras):
+        columns |= {CAMERA_POSE.format(view), CAMERA_INTRINSICS.format(view)}
+    constants = columns_of(meta, CONSTANTS, columns)
     held = {name.replace(SIGHTINGS, IMAGES) for name in meta.features}
     for key in cameras if constants else ():
         if key not in held:
@@ -102,29 +183,51 @@ def embodiment_of(meta: Any, cameras: list[str]) -> Embodiment:
                 f"{meta.repo_id} has no {key}, under whose name ObAct looks up the camera's pose: "
                 f"train without --rename_map, from random weights"
             )
-    calibration = {}
-    for key, view in views.items():
-        if CAMERA_POSE.format(view) in constants:
-            pose = constants[CAMERA_POSE.format(view)][0]
-            focal_px, _, centre_px, _ = constants[CAMERA_INTRINSICS.format(view)][0]
-            calibration[key] = [*pose, centre_px / focal_px, float(view == CARRIED_VIEW)]
-    speed, _, latency_ms = constants.get(HAND_LIMITS, [(0.0, 0.0, 0.0)])[0]
-    # with the palm's displacement as action (control mode grasp), the teachers' answers would be of
-    # another kind
-    absolute = meta.features[ACTION]["shape"] == meta.features.get(OBS_STATE, {}).get("shape")
-    known = TARGET_PATH in constants and (meta.root / TRUTH).is_dir()
-    capture = captures[0] or "" if captures and known and absolute else ""
-    if capture == CONTACT:
-        logging.warning("targets must be gripped: only actions are learned")
-        capture = ""
+    speed_m_s, _, latency_ms = constants.get(HAND_LIMITS, [(0.0, 0.0, 0.0)])[0]
+    capture = _learnable_capture(meta, constants)
     return Embodiment(
         fps=float(meta.fps),
-        calibration=calibration,
+        calibration={
+            key: _calibration(_view(key), constants)
+            for key in cameras
+            if CAMERA_POSE.format(_view(key)) in constants
+        },
         delay_frames=math.ceil(latency_ms / 1000 * meta.fps - 1e-6),
-        palm_speed_m_s=float(speed),
+        palm_speed_m_s=float(speed_m_s),
         capture=capture,
         radius_m=RADIUS_M.get(capture, Embodiment.radius_m),
     )
+
+
+def _view(key: str) -> str:
+    return key.rsplit(".", maxsplit=1)[-1]
+
+
+def _calibration(view: str, constants: dict[str, list[Any]]) -> list[float]:
+    """Return the calibration of the camera of a view, see `Embodiment`."""
+    focal_px, _, centre_px, _ = constants[CAMERA_INTRINSICS.format(view)][0]
+    pose = constants[CAMERA_POSE.format(view)][0]
+    return [*pose, centre_px / focal_px, float(view == CARRIED_VIEW)]
+
+
+def _learnable_capture(meta: Any, constants: dict[str, list[Any]]) -> str:
+    """Return the rule of capture; empty if nothing beside the recorded actions can be learned."""
+    captures = columns_of(meta, EPISODES, {CAPTURE}).get(CAPTURE)
+    if captures and not constants:
+        logging.warning(
+            "%s is gone, which LeRobot's tools drop when they edit a dataset: the closed loop is "
+            "off, and only actions are learned",
+            meta.root / CONSTANTS,
+        )
+    # with the palm's displacement as action, the teacher's answers would be of another kind
+    absolute = meta.features[ACTION]["shape"] == meta.features.get(OBS_STATE, {}).get("shape")
+    known = TARGET_PATH in constants and (meta.root / TRUTH).is_dir()
+    if not (captures and known and absolute):
+        return ""
+    if captures[0] == CONTACT:
+        logging.warning("targets must be gripped: only actions are learned")
+        return ""
+    return captures[0] or ""
 
 
 @dataclass(frozen=True)
@@ -159,15 +262,20 @@ class TargetTable:
             torch.tensor(constants[name], dtype=torch.float32).quantile(CLOSED_QUANTILE, dim=0)
             for name in (OPEN_JOINTS, CLOSED_JOINTS)
         )
-        hand = embodiment.fps, embodiment.step_m, open_joints, closed_joints
         return cls(
-            torch.nn.utils.rnn.pad_sequence(paths, batch_first=True),
-            torch.tensor([len(path) for path in paths]),
-            free,
-            torch.tensor([frames or 0 for frames in table[WINDOW]], dtype=torch.long),
-            count.cumsum(0) - count,
-            free.float().mean() / free.clamp_min(1),
-            Teacher(*hand, radius_m=embodiment.radius_m),
+            path=torch.nn.utils.rnn.pad_sequence(paths, batch_first=True),
+            length=torch.tensor([len(path) for path in paths]),
+            free=free,
+            begin=torch.tensor([frames or 0 for frames in table[WINDOW]], dtype=torch.long),
+            first_index=count.cumsum(0) - count,
+            weight=free.float().mean() / free.clamp_min(1),
+            teacher=Teacher(
+                fps=embodiment.fps,
+                step_m=embodiment.step_m,
+                open_joints=open_joints,
+                closed_joints=closed_joints,
+                radius_m=embodiment.radius_m,
+            ),
         )
 
     def window(self, episode: Tensor, first: Tensor, n_frames: int) -> tuple[Targets, Tensor]:
@@ -180,6 +288,6 @@ class TargetTable:
         length = self.length[episode]
         frame = first[:, None] + torch.arange(n_frames + LONGEST_FRAMES)
         inside = torch.minimum(frame.clamp_min(0), length[:, None] - 1)
-        path, free = self.path[episode[:, None], inside], self.free[episode]
-        targets = Targets(path, length - first, free - first)
+        path = self.path[episode[:, None], inside]
+        targets = Targets(path, length - first, self.free[episode] - first)
         return targets, self.begin[episode] - first

@@ -3,7 +3,7 @@
     cells      a grid of features, by whatever network
     attention  over the cells, whose values are viewing rays (`SpatialAttention`)
     sighting   (u, v, log depth) in the camera's frame, and log scales of the errors across and
-    along the line of sight
+               along the line of sight
 
 The default, the eye, looks twice: attention over the whole image finds the target, and a fovea, the
 pixels around it, refines the direction and estimates the distance. The change since the image
@@ -21,11 +21,13 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from .attention import SpatialAttention
+from .heads import perceptron
 
 N_SIGHTING = 5
 """Numbers of a sighting: u, v, log depth, and the log scales of the errors across and along the
 line of sight."""
 UNSEEN_SCALE = 5.0  # both log scales of a sighting in a black image, which shows nothing
+READ_WIDTH = 128  # of the hidden layer that reads a sighting
 
 
 class Encoder(nn.Module):
@@ -38,9 +40,8 @@ class Encoder(nn.Module):
         mean, std: by channel, of the images that the weights expect.
     """
 
-    sees_motion: ClassVar[bool] = (
-        False  # whether it takes each image together with the one before, ``(F, 6, H, W)``
-    )
+    sees_motion: ClassVar[bool] = False
+    """Whether it takes each image together with the one before, ``(F, 6, H, W)``."""
     pixel_mean: Tensor
     pixel_std: Tensor
 
@@ -48,10 +49,9 @@ class Encoder(nn.Module):
         self, dim: int, embedding: int, mean: Any = (0.5, 0.5, 0.5), std: Any = (0.25, 0.25, 0.25)
     ) -> None:
         super().__init__()
-        self.embedding, self.attention = embedding, SpatialAttention(dim)
-        self.read = nn.Sequential(
-            nn.Linear(2 * dim + 2, 128), nn.SiLU(), nn.Linear(128, N_SIGHTING + embedding)
-        )
+        self.embedding = embedding
+        self.attention = SpatialAttention(dim)
+        self.read = perceptron(2 * dim + 2, READ_WIDTH, N_SIGHTING + embedding)
         self.register_buffer("pixel_mean", torch.tensor(mean).view(-1, 1, 1), persistent=False)
         self.register_buffer("pixel_std", torch.tensor(std).view(-1, 1, 1), persistent=False)
 
@@ -92,10 +92,8 @@ SHIPPED = {
 }
 """The eyes that come with the package, by view and side of the images that they have learned from
 [px]."""
-PIXEL_MEAN, PIXEL_STD = (
-    (0.5, 0.5, 0.5, 0.25, 0.0, 0.0, 0.0),
-    (0.25, 0.25, 0.25, 0.25, 0.1, 0.1, 0.1),
-)
+PIXEL_MEAN = (0.5, 0.5, 0.5, 0.25, 0.0, 0.0, 0.0)
+PIXEL_STD = (0.25, 0.25, 0.25, 0.25, 0.1, 0.1, 0.1)
 """Of RGB, saturation, and the change of RGB since the image before."""
 
 
@@ -116,7 +114,8 @@ class Eye(Encoder):
         self, embedding: int = 0, *, channels: int = 32, fovea: int = 20, weights: str = ""
     ) -> None:
         super().__init__(channels, embedding, PIXEL_MEAN, PIXEL_STD)
-        self.weights, self.fovea = weights, fovea
+        self.weights = weights
+        self.fovea = fovea
         self.patches = nn.Conv2d(len(PIXEL_MEAN), channels, kernel_size=4, stride=4)
         self.refine = conv(channels, channels)
         self.deep = nn.Sequential(
@@ -126,13 +125,9 @@ class Eye(Encoder):
         self.merge = conv(channels, channels)
         self.foveal = nn.Sequential(
             conv(len(PIXEL_MEAN), 16), conv(16, 32, stride=2), conv(32, 64, stride=2), nn.Flatten(),
-            nn.Linear(64 * math.ceil(fovea / 4) ** 2, 128), nn.SiLU(),
+            nn.Linear(64 * math.ceil(fovea / 4) ** 2, READ_WIDTH), nn.SiLU(),
         )  # fmt: skip
-        self.read = nn.Sequential(
-            nn.Linear(128 + 3 * channels + 2, 128),
-            nn.SiLU(),
-            nn.Linear(128, N_SIGHTING + embedding),
-        )
+        self.read = perceptron(READ_WIDTH + 3 * channels + 2, READ_WIDTH, N_SIGHTING + embedding)
 
     def load_pretrained(self) -> None:
         """Load ``weights``."""
@@ -141,40 +136,36 @@ class Eye(Encoder):
 
     def look(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """See `Encoder.look`."""
-        now, before = images[:, :3], images[:, -3:]
+        now = images[:, :3]
+        before = images[:, -3:]
         saturation = now.amax(1, keepdim=True) - now.amin(1, keepdim=True)
-        pixels = torch.cat([now, saturation, now - before], dim=1).contiguous(
-            memory_format=torch.channels_last
-        )
-        weight = (
-            self.patches.weight / self.pixel_std
-        )  # `standardise` folded into the weights of the first layer
-        shift = reduce(weight * self.pixel_mean, "o i y x -> o", "sum")
-        assert self.patches.bias is not None
-        fine = self.refine(
-            F.conv2d(pixels, weight, self.patches.bias - shift, stride=4)
-        )  # (F, C, H/4, W/4)
+        pixels = torch.cat([now, saturation, now - before], dim=1)
+        pixels = pixels.contiguous(memory_format=torch.channels_last)
+        fine = self.refine(self._patches(pixels))  # (F, C, H/4, W/4)
         deep = self.deep(fine)
         fine = self.merge(fine + F.interpolate(self.lateral(deep), size=fine.shape[-2:]))
         ray, there, heat = self.attention(rearrange(fine, "f c h w -> f h w c"))
         seen = self.foveal(self._crop(pixels, ray.detach()))
-        read = self.read(
-            torch.cat([seen, there, reduce(deep, "f c h w -> f c", "mean"), ray], dim=-1)
-        )
+        everywhere = reduce(deep, "f c h w -> f c", "mean")
+        read = self.read(torch.cat([seen, there, everywhere, ray], dim=-1))
         return self._sighting(images, ray, read, self.fovea / images.shape[-1]), heat
+
+    def _patches(self, pixels: Tensor) -> Tensor:
+        """Return the patches of pixels; `standardise` is folded into the weights."""
+        assert self.patches.bias is not None
+        weight = self.patches.weight / self.pixel_std
+        shift = reduce(weight * self.pixel_mean, "o i y x -> o", "sum")
+        return F.conv2d(pixels, weight, self.patches.bias - shift, stride=self.patches.stride)
 
     def _crop(self, pixels: Tensor, ray: Tensor) -> Tensor:
         """Cut squares of ``fovea`` pixels around rays ``(F, 2)``, standardized."""
         steps = torch.linspace(-1, 1, self.fovea, device=pixels.device) * (self.fovea - 1)
         height, width = pixels.shape[-2:]
-        x, y = (
-            ray[:, :1] + steps / width,
-            -ray[:, 1:] + steps / height,
-        )  # (F, fovea) each, in image coordinates
+        x = ray[:, :1] + steps / width  # (F, fovea), in image coordinates
+        y = -ray[:, 1:] + steps / height
         grid = torch.stack(torch.broadcast_tensors(x[:, None, :], y[:, :, None]), dim=-1)
-        return self.standardise(
-            F.grid_sample(pixels, grid, padding_mode="border", align_corners=False)
-        )
+        crop = F.grid_sample(pixels, grid, padding_mode="border", align_corners=False)
+        return self.standardise(crop)
 
 
 class Conv(Encoder):
@@ -213,13 +204,13 @@ class TransformersVision(Encoder):
         settings, _ = ImageProcessingMixin.get_image_processor_dict(name)
         config = AutoConfig.from_pretrained(name)
         vision = getattr(config, "vision_config", config)
-        dim = getattr(vision, "hidden_sizes", [vision.hidden_size])[-1]
+        dim = vision.hidden_sizes[-1] if hasattr(vision, "hidden_sizes") else vision.hidden_size
         super().__init__(dim, embedding, settings["image_mean"], settings["image_std"])
-        self.name, self.input_px = name, getattr(vision, "image_size", None)
+        self.name = name
+        self.input_px = getattr(vision, "image_size", None)
         model = AutoModel.from_config(config)
-        self.tower = getattr(
-            model, "vision_model", model
-        )  # of a model that also reads text, the image side
+        # of a model that also reads text, the image side
+        self.tower = getattr(model, "vision_model", model)
 
     def load_pretrained(self) -> None:
         """Load the tower's published weights."""

@@ -1,5 +1,6 @@
-"""Tensors by frame: what is kept of the observation history, and where palms get in a frame."""
+"""Frames: what is observed in them, the history of an episode, and where palms get in one."""
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import Any, Self
@@ -34,9 +35,7 @@ class Frames(Record):
     sightings: Tensor
     state: Tensor  # of the robot, (B, T, S)
     time_s: Tensor  # when they were seen [s], (T,)
-    # frames before the first one of an episode, which nobody has seen, (B, T); None if there are
-    # none
-    hidden: Tensor | None = None
+    hidden: Tensor | None = None  # frames before an episode's first, (B, T); None if there are none
 
     @property
     def palm(self) -> Tensor:
@@ -48,6 +47,53 @@ class Frames(Record):
         chosen = {"sightings": self.sightings[index], "state": self.state[index]}
         hidden = None if self.hidden is None else self.hidden[index]
         return replace(self, **chosen, hidden=hidden)
+
+
+class ObservationHistory:
+    """The last frames of the episodes that are played.
+
+    Attributes:
+        newest: number of the newest frame in its episode, -1 before the first.
+        now_s: when that was seen [s].
+        began_s: when the first was seen [s].
+    """
+
+    def __init__(self, length: int) -> None:
+        self._frames: deque[Frames] = deque(maxlen=length)
+        self.newest = -1
+        self.now_s = 0.0
+        self.began_s = 0.0
+
+    def add(self, sightings: Tensor, state: Tensor, time_s: float) -> None:
+        """Add what B environments show at ``time_s``: ``(B, C, 5 + E)`` and ``(B, S)``."""
+        if self.newest < 0:
+            self.began_s = time_s
+        self.now_s = time_s
+        self.newest += 1
+        # counted from the first frame, because single precision holds no times of day, and rounded,
+        # so that timestamps in single precision and counting say the same
+        elapsed_s = state.new_tensor([round(time_s - self.began_s, 4)])
+        self._frames.append(Frames(sightings[:, None], state[:, None], elapsed_s))
+
+    def keep_rows(self, rows: Any) -> None:
+        """Go on with the environments of rows ``(R,)`` alone."""
+        kept = [frame[rows] for frame in self._frames]
+        self._frames = deque(kept, maxlen=self._frames.maxlen)
+
+    def tick(self, now_s: float, fps: float) -> float:
+        """Return the time of a robot's clock that is nearest to ``now_s``, after the newest
+        frame.
+        """
+        tick_s = self.began_s + round((now_s - self.began_s) * fps) / fps
+        return max(tick_s, self.now_s + 1 / fps)
+
+    def frames(self) -> Frames:
+        """Return the T frames, oldest first."""
+        return Frames(
+            torch.cat([frame.sightings for frame in self._frames], dim=1),
+            torch.cat([frame.state for frame in self._frames], dim=1),
+            torch.cat([frame.time_s for frame in self._frames]),
+        )
 
 
 def gather_frames(table: Tensor, frame: Tensor) -> Tensor:

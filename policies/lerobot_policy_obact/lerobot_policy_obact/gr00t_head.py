@@ -35,7 +35,9 @@ from torch import Tensor, nn
 
 from .heads import frame_noise
 
-BETA_ALPHA, TIME_SCALE, N_TIME_BUCKETS = 1.5, 0.999, 1000
+BETA_ALPHA = 1.5
+TIME_SCALE = 0.999
+N_TIME_BUCKETS = 1000
 CHECKPOINT_PREFIX = "action_head."
 N_POSITIONS = 1024
 
@@ -60,7 +62,6 @@ class Gr00tHead(nn.Module):
         max_state_dim, max_action_dim: sizes to which states and actions are padded.
         dropout: dropout probability.
         n_steps: Euler steps of a chunk.
-        noise_seed: of the noise that `sample` starts from.
     """
 
     def __init__(
@@ -83,7 +84,6 @@ class Gr00tHead(nn.Module):
         max_action_dim: int = 32,
         dropout: float = 0.2,
         n_steps: int = 4,
-        noise_seed: int = 0,
     ) -> None:
         from lerobot.policies.groot.action_head.cross_attention_dit import (
             DiT,
@@ -95,19 +95,18 @@ class Gr00tHead(nn.Module):
         )
 
         super().__init__()
-        self.horizon, self.action_dim, self.n_steps, self.noise_seed = (
-            horizon,
-            sum(groups),
-            n_steps,
-            noise_seed,
-        )
+        self.horizon = horizon
+        self.action_dim = sum(groups)
+        self.n_steps = n_steps
         if self.action_dim > max_action_dim:
             raise ValueError(
                 f"the action has {self.action_dim} entries, but the gr00t head takes at most "
                 f"{max_action_dim}."
             )
-        self.checkpoint, self.embodiment = checkpoint, embodiment
-        self.max_state_dim, self.max_action_dim = max_state_dim, max_action_dim
+        self.checkpoint = checkpoint
+        self.embodiment = embodiment
+        self.max_state_dim = max_state_dim
+        self.max_action_dim = max_action_dim
         width = n_heads * head_dim
         self.condition_in = nn.Linear(context, memory_dim)
         self.model = DiT(
@@ -154,7 +153,7 @@ class Gr00tHead(nn.Module):
 
     def sample(self, context: Tensor, frame: int) -> Tensor:
         """See `ActionHead.sample`."""
-        start = frame_noise(self.noise_seed, frame, (1, *self.noise_shape), context)
+        start = frame_noise(frame, (1, *self.noise_shape), context)
         return self.denoise(context, start.expand(len(context), -1, -1), self.n_steps)
 
     def denoise(self, context: Tensor, start: Tensor, n_steps: int) -> Tensor:

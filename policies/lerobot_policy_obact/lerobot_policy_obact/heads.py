@@ -2,7 +2,8 @@
 
     base        mean of the chunk and the scale of its error, by regression (Laplace likelihood)
     diffusion   the default: the chunk's deviation from that mean, in units of that scale, denoised
-    from normal noise flow        the same deviation, by flow matching
+                from normal noise
+    flow        the same deviation, by flow matching
     regression  the mean itself, without noise
 
 Time runs from t = 0, noise, to t = 1, data. Diffusion mixes signal and noise as sin and cos of t pi
@@ -23,7 +24,12 @@ DRAWS = 2  # noise levels at which each action of a batch is denoised
 PURE_NOISE_SHARE = 0.5  # share of those at pure noise, where sampling begins
 # deviations are clipped to this many scales: an outlier would teach nothing but its own size
 LARGEST_DEVIATION = 6.0
-MIN_LOG_SCALE, MAX_LOG_SCALE = -4.0, 2.0
+LOG_SCALES = (-4.0, 2.0)
+"""Scales of the error are cut to these, from 2 % to seven standard deviations of an action: a chunk
+that never varies would make the likelihood grow without end."""
+SCALE_SIZE = 3.0
+"""A group of entries weighs in the likelihood as if it had at most as many as a place: the joints
+move together."""
 BETA = 0.5
 """The likelihood is weighted by the scale to this power, or what is easily predicted would count
 for nearly everything (beta-NLL; Seitzer et al., 2022)."""
@@ -37,15 +43,20 @@ def perceptron(*widths: int) -> nn.Sequential:
     return nn.Sequential(*layers[:-1])
 
 
-def frame_noise(seed: int, frame: int, shape: tuple[int, ...], like: Tensor) -> Tensor:
-    """Return normal noise that is a function of a seed and a frame's number alone, in the type of
-    ``like``.
+def frame_noise(frame: int, shape: tuple[int, ...], like: Tensor) -> Tensor:
+    """Return normal noise that is a function of a frame's number alone, in the type of ``like``.
 
     So what a policy does follows from what it sees: batch size, order, interruption and machine
     change nothing.
     """
-    drawn = np.random.default_rng((seed, frame)).standard_normal(shape, dtype=np.float32)
+    drawn = np.random.default_rng((NOISE_SEED, frame)).standard_normal(shape, dtype=np.float32)
     return torch.from_numpy(drawn).to(like)
+
+
+NOISE_SEED = 0  # of the noise that chunks start from
+MAX_SAMPLING = 100  # most steps, and most draws: what is repeated for every action
+PHASES = tuple(2.0**i for i in range(-1, 7))
+"""Frequencies in which time enters a denoiser, in half turns: up to 64 within its range."""
 
 
 class FlowDenoiser(nn.Module):
@@ -55,11 +66,9 @@ class FlowDenoiser(nn.Module):
 
     def __init__(self, size: int, context: int, width: int = 128, n_blocks: int = 2) -> None:
         super().__init__()
-        self.time, self.chunk, self.context = (
-            nn.Linear(16, width),
-            nn.Linear(size, width),
-            nn.Linear(context, width),
-        )
+        self.time = nn.Linear(2 * len(PHASES), width)
+        self.chunk = nn.Linear(size, width)
+        self.context = nn.Linear(context, width)
         self.blocks = nn.ModuleList(
             nn.Sequential(
                 nn.LayerNorm(width), nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width)
@@ -74,7 +83,7 @@ class FlowDenoiser(nn.Module):
         """Map noisy chunks ``(R, H, A)`` at times ``(R,)`` in contexts ``(R, C)`` to predictions of
         that shape.
         """
-        phase = t[:, None] * torch.pi * 2.0 ** torch.arange(-1, 7, device=t.device)
+        phase = t[:, None] * torch.pi * torch.tensor(PHASES, device=t.device)
         time = self.time(torch.cat([phase.sin(), phase.cos()], dim=-1))
         x = self.chunk(chunk.flatten(1)) + time + self.context(context)
         for block in self.blocks:
@@ -129,7 +138,6 @@ class ActionHead(nn.Module):
         n_draws: chunks sampled for a decision; the palm follows their median.
         closing_quantile: of the draws, for the fingers: above 0.5 they rather close too early than
             too late.
-        noise_seed: of the noise that `sample` starts from.
     """
 
     def __init__(
@@ -143,17 +151,25 @@ class ActionHead(nn.Module):
         n_steps: int = 8,
         n_draws: int = 32,
         closing_quantile: float = 0.5,
-        noise_seed: int = 0,
     ) -> None:
         super().__init__()
-        self.horizon, self.groups, self.n_steps, self.action_dim = (
-            horizon,
-            groups,
-            n_steps,
-            sum(groups),
-        )
-        self.n_draws, self.closing_quantile, self.noise_seed = n_draws, closing_quantile, noise_seed
-        self.noise_shape = horizon, self.action_dim  # of the noise that a chunk starts from
+        for name, value in (("n_steps", n_steps), ("n_draws", n_draws)):
+            if not 1 <= value <= MAX_SAMPLING:
+                raise ValueError(
+                    f"head_options.{name} is {value}, but must be 1 to {MAX_SAMPLING}."
+                )
+        if not 0 <= closing_quantile < 1:
+            raise ValueError(
+                f"head_options.closing_quantile is {closing_quantile}, but must be 0 or more and "
+                "below 1."
+            )
+        self.horizon = horizon
+        self.groups = groups
+        self.action_dim = sum(groups)
+        self.n_steps = n_steps
+        self.n_draws = n_draws
+        self.closing_quantile = closing_quantile
+        self.noise_shape = (horizon, self.action_dim)  # of the noise that a chunk starts from
         self.base = nn.Linear(context, horizon * (self.action_dim + len(groups)))
         self.denoiser = denoiser(horizon * self.action_dim, context, width) if denoiser else None
 
@@ -164,32 +180,28 @@ class ActionHead(nn.Module):
         """Return the mean ``(R, H, A)`` and the log scale of its error by group, ``(R, H, G)``."""
         out = rearrange(self.base(context), "r (h a) -> r h a", h=self.horizon)
         mean, log_scale = out.split([self.action_dim, len(self.groups)], dim=-1)
-        return mean, log_scale.clamp(MIN_LOG_SCALE, MAX_LOG_SCALE)
+        return mean, log_scale.clamp(*LOG_SCALES)
 
     def loss(self, context: Tensor, actions: Tensor, weight: Tensor) -> Tensor:
         """Return the loss of each row, ``(R,)``, for contexts ``(R, C)``, normalized actions ``(R,
         H, A)`` and their weights, 0 for padding, ``(R, H)``.
         """
         mean, log_scale = self.regress(context)
-        errors = torch.stack(
-            [e.square().sum(-1).add(1e-8).sqrt() for e in (actions - mean).split(self.groups, -1)],
-            -1,
-        )
-        sizes = errors.new_tensor(self.groups).clamp_max(3.0)
+        by_group = (actions - mean).split(self.groups, dim=-1)
+        errors = torch.stack([e.square().sum(-1).add(1e-8).sqrt() for e in by_group], dim=-1)
+        sizes = errors.new_tensor(self.groups).clamp_max(SCALE_SIZE)
         likelihood = errors * (-log_scale).exp() + sizes * log_scale
         likelihood = (likelihood * (BETA * log_scale).exp().detach()).mean(-1)  # (R, H)
         loss = (likelihood * weight).mean(-1)
         if self.denoiser is None:
             return loss
         deviation = (actions - mean.detach()) / self._unit(log_scale).detach()
-        target = repeat(
-            deviation.clamp(-LARGEST_DEVIATION, LARGEST_DEVIATION), "r h a -> (r n) h a", n=DRAWS
-        )
+        deviation = deviation.clamp(-LARGEST_DEVIATION, LARGEST_DEVIATION)
+        target = repeat(deviation, "r h a -> (r n) h a", n=DRAWS)
         t = torch.rand(len(target), device=target.device)
         t = torch.where(torch.rand_like(t) < PURE_NOISE_SHARE, 0.0, t)
-        error = self.denoiser.error(
-            target, torch.randn_like(target), t, repeat(context, "r c -> (r n) c", n=DRAWS)
-        )
+        contexts = repeat(context, "r c -> (r n) c", n=DRAWS)
+        error = self.denoiser.error(target, torch.randn_like(target), t, contexts)
         error = rearrange(error.square().mean(-1), "(r n) h -> r n h", n=DRAWS)
         return loss + (error * weight[:, None]).mean((1, 2))
 
@@ -207,7 +219,7 @@ class ActionHead(nn.Module):
         if self.denoiser is None:
             return self.regress(context)[0]
         n = self.n_draws
-        noise = frame_noise(self.noise_seed, frame, (n, *self.noise_shape), context)
+        noise = frame_noise(frame, (n, *self.noise_shape), context)
         start = repeat(noise, "n h a -> (r n) h a", r=len(context))
         draws = self.denoise(repeat(context, "r c -> (r n) c", n=n), start, self.n_steps)
         draws = rearrange(draws, "(r n) h a -> n r h a", n=n).sort(dim=0).values
@@ -219,13 +231,12 @@ class ActionHead(nn.Module):
         ``(R, C)``.
         """
         mean, log_scale = self.regress(context)
-        if (denoiser := self.denoiser) is None:
+        denoiser = self.denoiser
+        if denoiser is None:
             return mean
-        unit = self._unit(log_scale)
 
-        def towards_noise(
-            x: Tensor, time: Tensor
-        ) -> Tensor:  # LeRobot's loop runs from time 1, noise, to 0, data
+        # LeRobot's loop runs from time 1, noise, to 0, data
+        def towards_noise(x: Tensor, time: Tensor) -> Tensor:
             return -denoiser.velocity(x, (1 - time).to(x), context)
 
-        return mean + unit * euler_integrate(towards_noise, start, n_steps)
+        return mean + self._unit(log_scale) * euler_integrate(towards_noise, start, n_steps)

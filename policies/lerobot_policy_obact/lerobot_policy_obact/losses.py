@@ -16,8 +16,9 @@ from einops import rearrange, repeat
 from torch import Tensor
 
 from .configuration_obact import ObActConfig
+from .forecaster import FORECAST_FRAMES, Forecast
 from .frames import Record, gather_frames, palm_of
-from .modeling_obact import FORECAST_FRAMES, Forecast, ObActModel
+from .modeling_obact import ObActModel
 from .teacher import Teacher
 from .windows import Window, rolled_out
 

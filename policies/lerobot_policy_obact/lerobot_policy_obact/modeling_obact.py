@@ -1,7 +1,7 @@
-"""ObAct in LeRobot: what is trained, what acts, and its network.
+"""ObAct in LeRobot: the policy that is trained and acts, and its network.
 
     encoders     find the target in the newest images (`encoders`)
-    forecaster   attends to the observation history and forecasts the target
+    forecaster   attends to the observation history and forecasts the target (`forecaster`)
     condition    picks from the forecast where to meet it
     head         samples actions relative to that place (`heads`)
 
@@ -11,28 +11,26 @@ actions when the last one is used up.
 
 from __future__ import annotations
 
-import logging
 import time
 from collections import deque
-from collections.abc import Sequence
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, cast
 
 import torch
 from einops import einsum, rearrange, repeat
 from lerobot.policies.pretrained import PreTrainedPolicy
-from lerobot.utils.constants import ACTION, OBS_STATE
+from lerobot.utils.constants import ACTION
 from safetensors.torch import load_file
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from .attention import PositionReadout, TemporalBlock
-from .camera import Pinhole
+from .commands import CommandBuffer
 from .configuration_obact import HEADS, ObActConfig
-from .encoders import ENCODERS, N_SIGHTING, Encoder
-from .frames import Frames, Record, gather_frames, palm_of, stepped
+from .encoders import ENCODERS, Encoder
+from .forecaster import FAR, FORECAST_FRAMES, Forecast, Forecaster, GrowingUnit
+from .frames import Frames, ObservationHistory
 from .heads import perceptron
 from .threads import on_one_thread
 
@@ -40,25 +38,16 @@ if TYPE_CHECKING:
     from .dataset import TargetTable
     from .windows import Window
 
-AVERAGED = "average.module."
-"""Names of averaged weights begin so in a file."""
 Batch = dict[str, Any]
 
-FORECAST_FRAMES = (0, 1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48)
-"""Frames ahead at which the target's position is forecast."""
-PLACE_M, RAY_M, POINT_M = 0.3, 0.4, 0.1
-"""Units in which places, their offsets from the camera and differences between points enter the
-network: about their standard deviations."""
-FAR = 8.0  # inputs are cut to this many units
-BEND_M, BEND_M_S = 0.03, 0.5
-"""Unit in which the network corrects the forecast, and what is added to it for every second
-ahead."""
-OFFSET_M, OFFSET_M_S = 0.1, 0.3
-"""Unit in which the head reads where the target will be, and how much more it is for every second
-ahead."""
-UNCALIBRATED = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
-"""Calibration, see `Embodiment`, of a camera that sees rays of unit depth from the origin."""
+AVERAGED = "average.module."
+"""Names of averaged weights begin so in a file."""
+OFFSET = GrowingUnit(0.1, 0.3)
+"""Of where the target will be from the palm, as the head reads it: about what a palm is away from a
+target that it meets."""
 N_FEATURES = 64  # numbers of a decision's token that the head reads beside the forecast
+LEAST_STD = 1e-3
+"""Of an entry of state or action: one that stood still in the recordings says nothing."""
 
 
 # -- policy ----------------------------------------------------------------------------------------
@@ -95,7 +84,7 @@ class ObActPolicy(PreTrainedPolicy):
     real_time: ClassVar[bool] = False
     """Whether the world moves on while a caller who asks for chunks waits: frames without
     ``timestamp`` are then as old as the wall clock says."""
-    _shown: list[Tensor] | None = None  # what was observed last, also before `reset`
+    _shown: Batch | None = None  # what was observed last, also before `reset`
 
     def __init__(
         self,
@@ -106,10 +95,13 @@ class ObActPolicy(PreTrainedPolicy):
         **kwargs: Any,
     ) -> None:
         super().__init__(config)
-        config.validate_features()
         self.targets: TargetTable | None = None
-        if dataset_meta is not None:
-            self._describe(dataset_meta)
+        if dataset_meta is None:
+            config.validate_features()
+        else:
+            from .dataset import adopt
+
+            self.targets = adopt(config, dataset_meta)
         self.model = ObActModel(config)
         if load_pretrained:
             self.model.load_pretrained()
@@ -117,37 +109,6 @@ class ObActPolicy(PreTrainedPolicy):
             self.model.adopt_stats(dataset_stats)
         self.average = AveragedModel(self.model).requires_grad_(False) if config.ema_decay else None
         self.reset()
-
-    def _describe(self, meta: Any) -> None:
-        """Take over what a dataset says of the robot and the targets."""
-        from .dataset import TargetTable, embodiment_of, rules_of
-
-        config = self.config
-        config.rules = rules_of(meta)
-        knew, config.embodiment = config.forecasts, embodiment_of(meta, config.cameras)
-        if config.pretrained_path and knew and not config.forecasts:
-            raise ValueError(
-                f"{config.pretrained_path} learned from the target's path, which "
-                f"{meta.repo_id} lacks; "
-                "train from random weights, or record with dynahoi generate --actor"
-            )
-        encoded = meta.features.keys() >= {*config.sighting_keys}
-        if config.n_future_steps and not encoded:
-            raise ValueError(
-                f"n_future_steps is {config.n_future_steps}, but must be 0 for a dataset with "
-                f"images, of which it would decode as many more: `dynahoi encode` turns them into "
-                f"sightings"
-            )
-        if encoded and not (config.forecasts and config.n_future_steps):
-            lacking = "n_future_steps is 0" if config.forecasts else "it lacks the target's path"
-            logging.warning("the closed loop is off for %s: %s", meta.repo_id, lacking)
-        if config.forecasts:
-            self.targets = TargetTable.of(meta, config.embodiment)
-            # it reads no other vectors, which a robot may not have
-            read = {*config.cameras, OBS_STATE}
-            config.input_features = {
-                key: x for key, x in (config.input_features or {}).items() if key in read
-            }
 
     # -- training ----------------------------------------------------------------------------------
 
@@ -157,27 +118,17 @@ class ObActPolicy(PreTrainedPolicy):
         ``reduction`` is "mean" for a scalar, "none" for one loss per sample, ``(B,)``.
         """
         from .losses import window_losses
-        from .windows import VirtualHands
 
-        config, window = self.config, self._window(batch)
-        model, teacher = self.model if self.training else self.acting, None
+        window, teacher = self._window(batch), None
         if self.targets is not None:
             teacher = self.targets.teacher
-            hands = VirtualHands(config, teacher, self.acting)
-            share = config.virtual_share if self.training else 0.0
-            window = hands.drawn(window.repeated(config.n_hands), share)
-        losses = window_losses(model, window, teacher)
-        weights = {
-            "forecast": config.forecast_weight,
-            "action": config.action_weight,
-            "missed": config.action_weight,
-            "closed_loop": config.closed_loop_weight * self._is_competent(),
-        }
-        total = torch.stack([weights[name] * loss for name, loss in losses.items()]).sum(0)
+            window = self._with_hands(window)
+        losses = window_losses(self.model if self.training else self.acting, window, teacher)
+        logged = {name: float(loss.detach().mean()) for name, loss in losses.items()}
+        total = torch.stack([self._weight(name) * loss for name, loss in losses.items()]).sum(0)
         if self.targets is not None:
             weight = self.targets.weight[batch["episode_index"].flatten().cpu()].to(total)
-            total = total * weight.repeat_interleave(config.n_hands)
-        logged = {name: float(loss.detach().mean()) for name, loss in losses.items()}
+            total = total * weight.repeat_interleave(self.config.n_hands)
         if reduction == "none":
             return rearrange(total, "(b n) -> b n", b=len(batch[ACTION])).mean(1), logged
         return total.mean(), logged
@@ -186,37 +137,60 @@ class ObActPolicy(PreTrainedPolicy):
         """Return the windows of a batch, with the targets in them, if the dataset has these."""
         from .windows import Window
 
-        config, model = self.config, self.model
-        actions, offsets = batch[ACTION], config.observation_delta_indices
-        b, n, device = len(actions), len(offsets), actions.device
-        columns = config.sighting_keys
-        if columns[0] in batch:
-            sightings = torch.stack([batch[key] for key in columns], dim=2)
-        else:
-            images = {key: batch[key] for key in config.cameras}
-            before = {key: torch.cat([x[:, :1], x[:, :-1]], 1) for key, x in images.items()}
-            flat = ({key: x.flatten(0, 1) for key, x in y.items()} for y in (images, before))
-            sightings = model.encode_images(*flat).unflatten(0, (b, n))
-        observed = (columns[0] if columns[0] in batch else config.cameras[0]) + "_is_pad"
-        recorded = ~batch.get(observed, torch.zeros(b, n, dtype=torch.bool, device=device))
-        before_start = ~recorded & (torch.arange(n, device=device) < config.n_obs_steps)
-        time_s = torch.tensor(offsets, device=device) / config.embodiment.fps
-        frames = Frames(sightings, model.state_of(batch), time_s, before_start)
-        padding = batch.get(f"{ACTION}_is_pad", torch.zeros(actions.shape[:2], dtype=torch.bool))
-        weight = (~padding).float().to(device)
-        begin = torch.zeros(b, dtype=torch.long, device=device)
+        config = self.config
+        actions = batch[ACTION]
+        n_windows, horizon = actions.shape[:2]
+        device = actions.device
+        frames, recorded = self._frames(batch)
+        unpadded = torch.zeros(n_windows, horizon, dtype=torch.bool, device=device)
+        weight = (~batch.get(f"{ACTION}_is_pad", unpadded)).float()
+        begin = torch.zeros(n_windows, dtype=torch.long, device=device)
         window = Window(frames, recorded, actions, weight, begin)
         if self.targets is None:
             return window
-        episode, index = (batch[key].flatten().cpu() for key in ("episode_index", "index"))
-        first = index - self.targets.first_index[episode] + offsets[0]
-        targets, begin = self.targets.window(episode, first, n)
+        episode = batch["episode_index"].flatten().cpu()
+        newest = batch["index"].flatten().cpu() - self.targets.first_index[episode]
+        first = newest + config.observation_delta_indices[0]
+        targets, begin = self.targets.window(episode, first, recorded.shape[1])
         return replace(window, begin=begin.to(device), targets=targets.to(device))
 
-    def _is_competent(self) -> bool:
-        """Whether it has imitated for long enough to learn from what its own hands do."""
-        steps = self.config.imitation_steps
-        return self.average is None or int(self.average.n_averaged) >= steps
+    def _with_hands(self, window: Window) -> Window:
+        """Return windows with several hands for each, of which the acting weights lead some."""
+        from .windows import VirtualHands
+
+        assert self.targets is not None
+        hands = VirtualHands(self.config, self.targets.teacher, self.acting)
+        virtual_share = self.config.virtual_share if self.training else 0.0
+        return hands.drawn(window.repeated(self.config.n_hands), virtual_share)
+
+    def _frames(self, batch: Batch) -> tuple[Frames, Tensor]:
+        """Return the frames of a batch, and which of them were recorded, ``(B, L)``."""
+        config = self.config
+        columns = config.sighting_keys
+        if columns[0] in batch:
+            observed = columns[0]
+            sightings = torch.stack([batch[key] for key in columns], dim=2)
+        else:
+            observed = config.cameras[0]
+            images = {key: batch[key] for key in config.cameras}
+            before = {key: torch.cat([x[:, :1], x[:, :-1]], dim=1) for key, x in images.items()}
+            sightings = self.model.encode_images(images, before)
+        offsets = torch.tensor(config.observation_delta_indices, device=sightings.device)
+        all_frames = torch.zeros(sightings.shape[:2], dtype=torch.bool, device=sightings.device)
+        recorded = ~batch.get(f"{observed}_is_pad", all_frames)
+        hidden = ~recorded & (offsets <= 0)
+        state = self.model.state_of(batch, sightings.shape[:2])
+        return Frames(sightings, state, offsets / config.embodiment.fps, hidden), recorded
+
+    def _weight(self, name: str) -> float:
+        """Return the weight of a loss; hands led by random weights would teach little."""
+        if name == "forecast":
+            return self.config.forecast_weight
+        if name == "closed_loop":
+            steps = self.config.imitation_steps
+            competent = self.average is None or int(self.average.n_averaged) >= steps
+            return self.config.closed_loop_weight * competent
+        return 1.0
 
     def update(self) -> None:
         """Update the averaged weights after an optimizer step; random first weights are soon
@@ -224,9 +198,8 @@ class ObActPolicy(PreTrainedPolicy):
         """
         if self.average is not None:
             n = int(self.average.n_averaged)
-            self.average.multi_avg_fn = get_ema_multi_avg_fn(
-                min(self.config.ema_decay, (1 + n) / (10 + n))
-            )
+            decay = min(self.config.ema_decay, (1 + n) / (10 + n))
+            self.average.multi_avg_fn = get_ema_multi_avg_fn(decay)
             self.average.update_parameters(self.model)
 
     def get_optim_params(self) -> list[dict[str, Any]]:
@@ -255,21 +228,17 @@ class ObActPolicy(PreTrainedPolicy):
         single precision do not depend on them.
         """
         if not self._actors:
-            self._actors.append(
-                deepcopy(self.acting).double() if self.config.exact else self.acting
-            )
+            exact = self.config.exact
+            self._actors.append(deepcopy(self.acting).double() if exact else self.acting)
         return self._actors[0]
 
     def reset(self) -> None:
         """Forget the last episode."""
         self._actors: list[ObActModel] = []  # in a list, or PyTorch would save it with the weights
-        self._history: deque[Frames] = deque(maxlen=self.config.history_steps)
-        self._frame = -1  # the number of the newest one
-        self._began_s = self._now_s = 0.0  # when the first and the newest one were seen
-        self._images: dict[str, Tensor] = {}
+        self._history = ObservationHistory(self.config.history_steps)
         self._stale = False  # whether the only frame is the last one of the episode before
         self._action_queue: deque[Tensor] = deque()
-        self._commands: dict[int, Tensor] = {}  # where palms were sent to [m], by frame, (B, 3)
+        self._commands = CommandBuffer(self.config.embodiment)
         self.decision: Decision | None = None  # the newest
 
     @on_one_thread
@@ -282,12 +251,11 @@ class ObActPolicy(PreTrainedPolicy):
         the world stands still until they have been read.
         """
         self.eval()
-        config = self.config
         if not (self._action_queue and self._is_shown_again(batch)):
-            self._see(batch, self._now_s + 1 / config.embodiment.fps)
+            self._see(batch, self._history.now_s + 1 / self.config.embodiment.fps)
         if not self._action_queue:
-            chunk = self._chunk(config.inference_delay)
-            self._action_queue.extend(chunk[:, : config.n_action_steps].unbind(1))
+            chunk = self._chunk(self.config.inference_delay)
+            self._action_queue.extend(chunk[:, : self.config.n_action_steps].unbind(1))
         return self._action_queue.popleft()
 
     def keep_rows(self, rows: Any) -> bool:
@@ -296,22 +264,11 @@ class ObActPolicy(PreTrainedPolicy):
         """
         if not self.config.exact:
             return False
-        kept = [
-            replace(frame, sightings=frame.sightings[rows], state=frame.state[rows])
-            for frame in self._history
-        ]
-        self._history = deque(kept, maxlen=self._history.maxlen)
-        self._images = {key: images[rows] for key, images in self._images.items()}
+        self._history.keep_rows(rows)
+        self._commands.keep_rows(rows)
         self._action_queue = deque(actions[rows] for actions in self._action_queue)
-        self._commands = {frame: goals[rows] for frame, goals in self._commands.items()}
+        self._shown = {key: values[rows] for key, values in (self._shown or {}).items()}
         return True
-
-    def _is_shown_again(self, batch: Batch) -> bool:
-        """Whether a batch is the newest frame again."""
-        state, images = self._history[-1].state[:, 0], self._images
-        shown = {key: batch[key].to(image) for key, image in images.items()}
-        same = all(image.equal(shown[key]) for key, image in images.items())
-        return same and self._actor.state_of(batch).to(state).equal(state)
 
     @on_one_thread
     @torch.no_grad()
@@ -322,9 +279,9 @@ class ObActPolicy(PreTrainedPolicy):
         later than the one before, as in a simulation that waits. In `real_time`, and if a previous
         chunk is offered, as by LeRobot's real-time chunking, the wall clock says how old it is.
 
-        Its first ``inference_delay`` actions are past when it is there; the others follow from the
-        forecast and from where the palm will be by then, or, without a forecast, are those expected
-        of a hand that acts at once.
+        Its first ``inference_delay`` actions are past when it is there: they are those of the chunk
+        before. The others follow from the forecast and from where the palm will be by then, or,
+        without a forecast, are those expected of a hand that acts at once.
 
         The previous chunk, which real-time chunking offers as guidance, is ignored. Consecutive
         chunks follow from one history and need none. The head's errors agree over a whole chunk, so
@@ -354,95 +311,71 @@ class ObActPolicy(PreTrainedPolicy):
         when another one comes.
         """
         self.eval()
-        now_s = time.monotonic() if live else self._now_s + step_s
+        now_s = time.monotonic() if live else self._history.now_s + step_s
         if live and "timestamp" not in batch:
-            shown, old = (
-                [batch[key].clone() for key in (*self.config.state_keys, *self.config.cameras)],
-                self._shown,
-            )
-            same = old is not None and all(map(torch.equal, shown, old))
-            if same and self._history:
+            again = self._is_shown_again(batch)
+            if again and self._history.newest >= 0:
                 return
             if self._stale:
                 self.reset()
-            self._shown, self._stale = shown, same
-            if self._history:
-                fps = self.config.embodiment.fps
-                ticks = round((now_s - self._began_s) * fps)
-                now_s = max(self._began_s + ticks / fps, self._now_s + 1 / fps)
+            self._stale = again
+            if self._history.newest >= 0:
+                now_s = self._history.tick(now_s, self.config.embodiment.fps)
         self._see(batch, now_s)
+
+    def _is_shown_again(self, batch: Batch) -> bool:
+        """Whether a batch is the one that was shown last."""
+        shown = self._shown
+        return shown is not None and all(torch.equal(x, batch[key]) for key, x in shown.items())
 
     def _see(self, batch: Batch, time_s: float) -> None:
         """Encode the newest frame and keep it; it was seen at ``time_s`` if the batch does not say
         when.
         """
         model = self._actor
-        images = {key: batch[key].to(model.action_mean) for key in self.config.cameras}
-        state = model.state_of(batch).to(model.action_mean)
-        if self._history and len(self._history[-1].state) != len(state):
+        cameras = self.config.cameras
+        before = self._shown if self._shown and self._history.newest >= 0 else batch
+        known, given = len(before[cameras[0]]), len(batch[cameras[0]])
+        if known != given:
             raise ValueError(
-                f"the batch changed from {len(self._history[-1].state)} to {len(state)} "
-                f"environments: call policy.reset() between."
+                f"the batch changed from {known} to {given} environments: call policy.reset() "
+                "between."
             )
-        self._now_s = float(batch["timestamp"].flatten()[0]) if "timestamp" in batch else time_s
-        if not self._history:
-            # single precision keeps differences of such times, not times of day
-            self._began_s = self._now_s
-        # the same by timestamps in single precision as by counting
-        elapsed_s = round(self._now_s - self._began_s, 4)
-        sightings = model.encode_images(images, before=self._images or images)
-        self._images, self._frame = images, self._frame + 1
-        seen = Frames(sightings[:, None], state[:, None], state.new_tensor([elapsed_s]))
-        self._history.append(seen)
+        sightings = model.encode_images(batch, before)
+        state = model.state_of(batch, sightings.shape[:1])
+        if "timestamp" in batch:
+            time_s = float(batch["timestamp"].flatten()[0])
+        self._history.add(sightings, state, time_s)
+        self._shown = {key: batch[key].clone() for key in (*self.config.state_keys, *cameras)}
 
     def _chunk(self, inference_delay: int) -> Tensor:
         """Return the chunk for the newest frame, ``(B, H, A)``, that is there so many frames
         later.
         """
-        model, frames = self._actor, _joined(self._history)
-        # recorded actions, which begin now, were learned from where the palm is now
-        waits = inference_delay if self.config.forecasts else 0
-        palm = self._due(waits) if self.config.forecasts else frames.palm[:, -1]
-        forecast = model.encode_history(frames)[:, 0].later(waits)
-        state = frames.state[:, -1]
-        context, origin = model.condition(forecast, palm, state)
+        model = self._actor
+        newest = self._history.newest
+        frames = self._history.frames()
+        forecast = model.encode_history(frames)[:, 0]
+        palm = frames.palm[:, -1]
+        begins = 0  # recorded actions were learned from where the palm is now
+        if self.config.forecasts:
+            begins = inference_delay
+            forecast = forecast.later(begins)
+            palm = self._commands.due(frames.palm, newest, begins)
+        context, origin = model.condition(forecast, palm, frames.state[:, -1])
         eyes, rays = model.forecaster.sighted(frames)
-        seen, sighted = frames.sightings[:, -1], (eyes + rays)[:, -1]
-        ahead_s = model.forecaster.ahead_s
         self.decision = Decision(
-            seen, sighted, forecast.places, ahead_s, origin[:, 0], forecast.attention
+            sightings=frames.sightings[:, -1],
+            sighted=(eyes + rays)[:, -1],
+            forecast=forecast.places,
+            ahead_s=model.forecaster.ahead_s,
+            intercept=origin[:, 0],
+            attention=forecast.attention,
         )
-        chunk = model.unnormalise(model.head.sample(context, self._frame), origin).float()
-        delay = min(waits, self.config.horizon - 1)
-        past = chunk[:, :1].expand(-1, delay, -1)
-        chunk = torch.cat([past, chunk[:, : self.config.horizon - delay]], dim=1)
-        first = self._frame + delay
-        old = {frame: goal for frame, goal in self._commands.items() if frame < first}
-        self._commands = old | {
-            self._frame + i: palm_of(chunk[:, i]) for i in range(delay, self.config.horizon)
-        }
-        return chunk
-
-    def _due(self, inference_delay: int) -> Tensor:
-        """Return where the palm will be when the next command takes effect [m], ``(B, 3)``.
-
-        That follows from the commands on their way, cut to the palm's speed, as long as the palm
-        does what it is told: where it should have moved and did not, as in an observation window,
-        it is taken to stay.
-        """
-        palm, embodiment = self._history[-1].palm[:, 0], self.config.embodiment
-        effective, coming = self._frame - embodiment.delay_frames, self._commands
-        executed = coming.get(effective - 1)
-        frames = range(effective, self._frame + inference_delay)
-        if executed is None or len(self._history) < 2 or not frames:
-            return palm
-        before = self._history[-2].palm[:, 0]
-        commanded_m = (stepped(before, executed, embodiment.step_m) - before).norm(dim=-1)
-        moves, due = (palm - before).norm(dim=-1) > 0.5 * commanded_m, palm
-        for frame in frames:
-            goal = coming.get(min(frame, max(coming)))
-            due = due if goal is None else stepped(due, goal, embodiment.step_m)
-        return torch.where(moves[:, None], due, palm)
+        chunk = model.unnormalise(model.head.sample(context, newest), origin).float()
+        # its first action is for the frame in which it begins, and stands for those before
+        ahead = torch.arange(chunk.shape[1], device=chunk.device) - begins
+        return self._commands.give(chunk[:, ahead.clamp_min(0)], newest, inference_delay)
 
     # -- real-time chunking, adapters, checkpoints -------------------------------------------------
 
@@ -463,26 +396,30 @@ class ObActPolicy(PreTrainedPolicy):
     def _load_as_safetensor(
         cls, model: Self, model_file: str, map_location: str, strict: bool
     ) -> Self:
-        """Load weights. A policy that keeps no average, such as the base of an adapter, continues
-        with the averaged weights, as `keep_average` does.
+        """Load weights, of which a file has those that learned and their average, or one of them.
+
+        A policy that keeps no average, such as the base of an adapter, goes on with the averaged
+        weights, and one that averages begins with those that are there.
         """
         loaded = super()._load_as_safetensor(model, model_file, map_location, strict)
-        if loaded.average is None:
-            stored = load_file(model_file, device="cpu")
-            averaged = {
-                name.removeprefix(AVERAGED): weight
-                for name, weight in stored.items()
-                if name.startswith(AVERAGED)
-            }
-            if averaged:
-                loaded.model.load_state_dict(averaged)
+        stored = load_file(model_file, device="cpu")
+        averaged = {
+            name.removeprefix(AVERAGED): weight
+            for name, weight in stored.items()
+            if name.startswith(AVERAGED)
+        }
+        if loaded.average is None and averaged:
+            loaded.model.load_state_dict(averaged)
+        if loaded.average is not None and not averaged:
+            loaded.average.module.load_state_dict(loaded.model.state_dict())
         return loaded
 
     def keep_average(self) -> None:
         """Continue with the averaged weights alone, which acted so far."""
         if self.average is not None:
             self.model.load_state_dict(self.average.module.state_dict())
-            self.average, self.config.ema_decay = None, 0.0
+            self.average = None
+            self.config.ema_decay = 0.0
 
     def wrap_with_peft(self, *args: Any, **kwargs: Any) -> PreTrainedPolicy:
         """Add adapters to the acting weights. Adapters are not averaged, so the average becomes the
@@ -492,41 +429,11 @@ class ObActPolicy(PreTrainedPolicy):
         return super().wrap_with_peft(*args, **kwargs)
 
     def _get_default_peft_targets(self) -> dict[str, Any]:
-        return {
-            "target_modules": r"model\.forecaster\.blocks\..*\.(qkv|out)",
-            "modules_to_save": [],
-        }
-
-
-def _joined(frames: Sequence[Frames]) -> Frames:
-    """Return frames that were seen one after the other."""
-    sightings, state = (
-        torch.cat([getattr(frame, name) for frame in frames], dim=1)
-        for name in ("sightings", "state")
-    )
-    return Frames(sightings, state, torch.cat([frame.time_s for frame in frames]))
+        targets = r"model\.forecaster\.blocks\..*\.(qkv|out)"
+        return {"target_modules": targets, "modules_to_save": []}
 
 
 # -- network ---------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Forecast(Record):
-    """Where decisions, ``(B, Q)``, expect the target."""
-
-    features: Tensor  # (B, Q, D)
-    places: Tensor  # of the target [m], (B, Q, K, 3), see `FORECAST_FRAMES`
-    # weights of the T frames of the history in the J positions read out, (B, Q, J, T)
-    attention: Tensor | None = None
-
-    def later(self, frames: int) -> Forecast:
-        """Return it as it is so many frames later: for times that count from then."""
-        times = torch.tensor(FORECAST_FRAMES, device=self.places.device)
-        wanted = (times + frames).clamp_max(times[-1])
-        high = torch.searchsorted(times, wanted).clamp_min(1)
-        share = (wanted - times[high - 1]) / (times[high] - times[high - 1])
-        before, after = self.places[..., high - 1, :], self.places[..., high, :]
-        return replace(self, places=torch.lerp(before, after, share.to(before)[:, None]))
 
 
 class ObActModel(nn.Module):
@@ -541,9 +448,10 @@ class ObActModel(nn.Module):
         super().__init__()
         assert config.action_feature is not None
         assert config.input_features is not None
-        n_actions, n_relative = config.action_feature.shape[0], config.relative_dims or 0
+        self.config = config
+        self.n_relative = config.relative_dims or 0
+        n_actions = config.action_feature.shape[0]
         n_state = sum(config.input_features[key].shape[0] for key in config.state_keys)
-        self.config, self.n_relative = config, n_relative
         encoders = [
             ENCODERS[config.encoder](**_options(config.encoder_options, key))
             for key in config.cameras
@@ -551,20 +459,17 @@ class ObActModel(nn.Module):
         self.encoders = nn.ModuleList(encoders).requires_grad_(not config.freeze_encoder)
         self.forecaster = Forecaster(config, sum(encoder.embedding for encoder in encoders))
         self.features = nn.Linear(config.dim, N_FEATURES)
+        n_ahead = len(FORECAST_FRAMES)
         n_inputs = n_state
         if config.forecasts:
-            n_inputs = 4 * len(FORECAST_FRAMES) + (n_state - n_relative if config.grips else 0)
-        self.trunk = nn.Sequential(
-            perceptron(n_inputs + N_FEATURES, config.width, config.width), nn.SiLU()
-        )
+            n_inputs = 4 * n_ahead + (n_state - self.n_relative if config.grips else 0)
+        read = perceptron(n_inputs + N_FEATURES, config.width, config.width)
+        self.trunk = nn.Sequential(read, nn.SiLU())
         if config.forecasts:
-            n_places, n_axes = (2, 3) if config.grips else (1, 1)
-            self.when = nn.Linear(
-                config.width, config.horizon * n_axes * n_places * len(FORECAST_FRAMES)
-            )
-        groups = [size for size in (n_relative, n_actions - n_relative) if size]
-        options = {"noise_seed": config.noise_seed} | config.head_options
-        self.head = HEADS[config.head](config.width, config.horizon, groups, **options)
+            n_weights = 3 * 2 * n_ahead if config.grips else n_ahead
+            self.when = nn.Linear(config.width, config.horizon * n_weights)
+        groups = [size for size in (self.n_relative, n_actions - self.n_relative) if size]
+        self.head = HEADS[config.head](config.width, config.horizon, groups, **config.head_options)
         for name, size in (("action", n_actions), ("state", n_state)):
             self.register_buffer(f"{name}_mean", torch.zeros(size))
             self.register_buffer(f"{name}_std", torch.ones(size))
@@ -573,20 +478,16 @@ class ObActModel(nn.Module):
         """Take over LeRobot's statistics of the dataset; actions relative to the palm have mean
         0.
         """
-        for name, keys in (("action", [ACTION]), ("state", self.config.state_keys)):
-            if not keys:
-                continue
-            mean, std = (
-                torch.cat(
-                    [
-                        torch.as_tensor(stats[key][moment], dtype=torch.float32).flatten()
-                        for key in keys
-                    ]
-                )
-                for moment in ("mean", "std")
-            )
-            getattr(self, f"{name}_mean").copy_(mean)
-            getattr(self, f"{name}_std").copy_(std.clamp_min(1e-3))
+
+        def moment(name: str, keys: list[str]) -> Tensor:
+            found = [torch.as_tensor(stats[key][name]).float().flatten() for key in keys]
+            return torch.cat([self.state_mean[:0], *found])
+
+        keys = self.config.state_keys
+        self.action_mean.copy_(moment("mean", [ACTION]))
+        self.action_std.copy_(moment("std", [ACTION]).clamp_min(LEAST_STD))
+        self.state_mean.copy_(moment("mean", keys))
+        self.state_std.copy_(moment("std", keys).clamp_min(LEAST_STD))
         self.action_mean[: self.n_relative] = 0.0
 
     def load_pretrained(self) -> None:
@@ -594,33 +495,26 @@ class ObActModel(nn.Module):
         for part in cast("list[Encoder]", [*self.encoders, self.head]):
             part.load_pretrained()
 
-    @property
-    def device(self) -> torch.device:
-        """Where its weights are."""
-        return self.action_mean.device
+    def state_of(self, batch: Batch, shape: tuple[int, ...]) -> Tensor:
+        """Return the vector observations of a batch of some ``shape``, ``(*shape, S)``, in the type
+        of the weights; S is 0 if there are none.
+        """
+        vectors = [batch[key].to(self.action_mean) for key in self.config.state_keys]
+        return torch.cat([self.action_mean.new_zeros(*shape, 0), *vectors], dim=-1)
 
-    def state_of(self, batch: Batch) -> Tensor:
-        """Return the vector observations of a batch, ``(..., S)``; S is 0 if there are none."""
-        keys = self.config.state_keys
-        if not keys:
-            key = self.config.cameras[0]
-            image = batch[key]
-            return self.state_mean.new_zeros(*image.shape[:-3], 0)
-        return torch.cat([batch[key] for key in keys], dim=-1)
-
-    def encode_images(self, images: dict[str, Tensor], before: dict[str, Tensor]) -> Tensor:
-        """Return what each camera saw, ``(F, C, 5 + E)``, in images ``(F, 3, H, W)``, RGB in [0,
-        1].
+    def encode_images(self, images: Batch, before: Batch) -> Tensor:
+        """Return what each camera saw, ``(..., C, 5 + E)``, in images ``(..., 3, H, W)``, RGB in
+        [0, 1].
 
         Those of the frame ``before`` only matter to encoders that see motion.
         """
-        if self.config.sees_motion:
-            images = {key: torch.cat([image, before[key]], dim=1) for key, image in images.items()}
-        seen = [
-            encoder(images[key])
-            for encoder, key in zip(self.encoders, self.config.cameras, strict=True)
-        ]
-        return torch.stack(seen, dim=1)
+        seen = []
+        for encoder, key in zip(self.encoders, self.config.cameras, strict=True):
+            image = images[key].to(self.action_mean)
+            if self.config.sees_motion:
+                image = torch.cat([image, before[key].to(image)], dim=-3)
+            seen.append(encoder(image.flatten(0, -4)).unflatten(0, image.shape[:-3]))
+        return torch.stack(seen, dim=-2)
 
     def encode_history(self, frames: Frames, rows: Tensor | None = None) -> Forecast:
         """Return the forecast of decisions at frames ``rows`` ``(B, Q)``; without ``rows``, of one
@@ -646,24 +540,27 @@ class ObActModel(nn.Module):
             state: of the robot, ``(R, S)``; with a forecast the head reads of it the joints, to
                 grip, or nothing.
         """
-        features, places = nn.functional.silu(self.features(forecast.features)), forecast.places
+        config = self.config
+        places = forecast.places
+        features = nn.functional.silu(self.features(forecast.features))
         state = (state - self.state_mean) / self.state_std
-        if not self.config.forecasts:
+        if not config.forecasts:
             context = self.trunk(torch.cat([state, features], dim=-1))
-            return context, repeat(palm, "r i -> r h i", h=self.config.horizon)
-        unit = OFFSET_M + OFFSET_M_S * self.forecaster.ahead_s
+            return context, repeat(palm, "r i -> r h i", h=config.horizon)
+        unit = OFFSET.at(self.forecaster.ahead_s)
         offset = (places - palm[:, None]) / unit[:, None]  # (R, K, 3)
         distance = offset.norm(dim=-1).clamp_max(FAR)
-        joints = state[:, self.n_relative :] if self.config.grips else state[:, :0]
-        context = self.trunk(
-            torch.cat([offset.clamp(-FAR, FAR).flatten(1), distance, features, joints], dim=-1)
-        )
-        when, horizon = self.when(context), self.config.horizon
-        if not self.config.grips:
-            return context, rearrange(when, "r (h k) -> r h k", h=horizon).softmax(-1) @ places
+        joints = state[:, self.n_relative :] if config.grips else state[:, :0]
+        read = [offset.clamp(-FAR, FAR).flatten(1), distance, features, joints]
+        context = self.trunk(torch.cat(read, dim=-1))
+        when = self.when(context)
+        if not config.grips:
+            weights = rearrange(when, "r (h k) -> r h k", h=config.horizon).softmax(-1)
+            return context, weights @ places
+        weights = rearrange(when, "r (h i k) -> r h i k", h=config.horizon, i=3).softmax(-1)
         along = palm[:, None] + places - places[:, :1]
-        when = rearrange(when, "r (h i k) -> r h i k", h=horizon, i=3).softmax(-1)
-        return context, einsum(when, torch.cat([places, along], dim=1), "r h i k, r k i -> r h i")
+        both = torch.cat([places, along], dim=1)
+        return context, einsum(weights, both, "r h i k, r k i -> r h i")
 
     def act_once(self, forecast: Forecast, palm: Tensor, state: Tensor) -> Tensor:
         """Return actions ``(R, A)`` sampled in one step from fresh noise, for training; see
@@ -684,124 +581,8 @@ class ObActModel(nn.Module):
         return predicted * self.action_std + self._offset(origin)
 
     def _offset(self, origin: Tensor) -> Tensor:
-        n = self.n_relative
-        return nn.functional.pad(origin[..., :n], (0, len(self.action_mean) - n)) + self.action_mean
-
-
-class Forecaster(nn.Module):
-    """Tokens of frames, causal attention over them, and a forecast that combines positions sighted
-    earlier.
-
-    Args:
-        config: with the embodiment filled in.
-        n_extra: numbers of a token beside those of the sightings.
-    """
-
-    ahead_s: Tensor
-
-    def __init__(self, config: ObActConfig, n_extra: int) -> None:
-        super().__init__()
-        dim, n_points, k = config.dim, config.n_points, len(FORECAST_FRAMES)
-        known = [config.embodiment.calibration.get(key, UNCALIBRATED) for key in config.cameras]
-        self.n_points = n_points
-        cameras = nn.ModuleList(Pinhole.from_pose(x[:7], x[7], carried=bool(x[8])) for x in known)
-        self.cameras = cast("list[Pinhole]", cameras)
-        self.register_buffer(
-            "ahead_s", torch.tensor(FORECAST_FRAMES) / config.embodiment.fps, persistent=False
-        )
-        self.token = perceptron(3 + 6 * len(known) + n_extra, dim, dim)
-        self.blocks = nn.ModuleList(
-            TemporalBlock(dim, config.n_heads) for _ in range(config.n_layers)
-        )
-        self.norm = nn.LayerNorm(dim)
-        if n_points:
-            self.readout = PositionReadout(dim, n_points)
-            self.linear = nn.Linear(3 * n_points, 3 * k, bias=False)
-            nn.init.zeros_(self.linear.weight)
-        else:
-            self.now = nn.Linear(dim, 3)
-        last = nn.Linear(256, 3 * k)
-        nn.init.zeros_(last.weight)
-        self.bend = nn.Sequential(perceptron(dim + 3 * n_points, 256, 256), nn.SiLU(), last)
-
-    def forward(self, frames: Frames, rows: Tensor) -> Forecast:
-        """Return the forecast of decisions at frames ``rows`` ``(B, Q)``, each from the frames up
-        to its own.
-        """
-        hidden, (eyes, rays) = frames.hidden, self.sighted(frames)
-        scales = frames.sightings[..., 3:N_SIGHTING]
-        position = fused(eyes, rays, scales)
-        origin = position[:, :1] if hidden is None else _first_seen(position, hidden)
-        extra = frames.sightings[..., N_SIGHTING:].flatten(2)
-        seen = [
-            scales.clamp(-6, 3) / 3,
-            scales[..., :1].clamp_max(2).exp(),
-            (rays / RAY_M).clamp(-FAR, FAR),
-        ]
-        place = ((position - origin) / PLACE_M).clamp(-FAR, FAR)
-        tokens = self.token(torch.cat([place, torch.cat(seen, dim=-1).flatten(2), extra], dim=-1))
-        age_s = frames.time_s[:, None] - frames.time_s  # (T, T), negative ahead
-        for block in self.blocks:
-            tokens = block(tokens, age_s, hidden)
-        tokens = self.norm(tokens)
-        chosen = repeat(rows, "b q -> b q d", d=tokens.shape[-1])
-        features, points, attention = tokens.gather(1, chosen), None, None
-        if self.n_points:
-            points, attention = self.readout(tokens, position - origin, age_s, rows, hidden)
-        return Forecast(features, self._places(features, points) + origin[:, :, None], attention)
-
-    def sighted(self, frames: Frames) -> tuple[Tensor, Tensor]:
-        """Return where the cameras are, and where from there they see the target [m], ``(B, T, C,
-        3)`` each.
-        """
-        eyes = [cam.origin(frames.palm) + cam.pos for cam in self.cameras]
-        rays = [
-            cam.place(frames.sightings[:, :, i, :3]) - cam.pos for i, cam in enumerate(self.cameras)
-        ]
-        return torch.stack(eyes, dim=2), torch.stack(rays, dim=2)
-
-    def _places(self, decisions: Tensor, points: Tensor | None) -> Tensor:
-        """Combine the positions read out, ``(B, Q, J, 3)``, linearly, and bend the result by what
-        the tokens say.
-        """
-        if points is None:
-            base, features = PLACE_M * self.now(decisions)[:, :, None], decisions
-        else:
-            anchor = points[:, :, :1]
-            differences = rearrange((points - anchor) / POINT_M, "b q j i -> b q (j i)")
-            base = anchor + POINT_M * rearrange(
-                self.linear(differences), "b q (k i) -> b q k i", i=3
-            )
-            features = torch.cat([decisions, differences.clamp(-FAR, FAR)], dim=-1)
-        bend = rearrange(self.bend(features), "b q (k i) -> b q k i", i=3)
-        return base + bend * (BEND_M + BEND_M_S * self.ahead_s)[:, None]
-
-
-def fused(eyes: Tensor, rays: Tensor, scales: Tensor) -> Tensor:
-    """Return where the cameras together place the target [m], ``(B, T, 3)``: each counts by what it
-    is sure of.
-
-    A camera's error is taken to be Gaussian with the ``scales`` ``(B, T, C, 2)`` it reports, across
-    and along its line of sight, so the lines of sight of two cameras cross where both are precise.
-    See `Forecaster.sighted` for the others.
-    """
-    if eyes.shape[2] == 1:
-        return (eyes + rays)[:, :, 0]
-    distance = rays.norm(dim=-1, keepdim=True).clamp_min(1e-3)
-    sight = rays / distance
-    across, along = ((scales.clamp(-6, 2).exp() * distance).clamp_min(1e-3) ** -2)[
-        ..., None
-    ].unbind(-2)  # (B, T, C, 1)
-    line = einsum(sight, sight, "... i, ... j -> ... i j")
-    precise = (
-        across[..., None] * (torch.eye(3, device=line.device) - line) + along[..., None] * line
-    )
-    return torch.linalg.solve(precise.sum(2), (precise @ (eyes + rays)[..., None]).sum(2))[..., 0]
-
-
-def _first_seen(position: Tensor, hidden: Tensor) -> Tensor:
-    """Return positions ``(B, T, 3)`` in the first frames that are not ``hidden``, ``(B, 1, 3)``."""
-    return gather_frames(position, hidden.int().argmin(1)[:, None])
+        others = len(self.action_mean) - self.n_relative
+        return nn.functional.pad(origin[..., : self.n_relative], (0, others)) + self.action_mean
 
 
 def _options(options: dict[str, Any], camera: str) -> dict[str, Any]:

@@ -21,8 +21,9 @@ from torch import Tensor
 
 from .camera import Pinhole
 from .configuration_obact import ObActConfig
+from .forecaster import Forecast
 from .frames import Frames, Record, gather_frames, palm_of, stepped
-from .modeling_obact import Forecast, ObActModel
+from .modeling_obact import ObActModel
 from .teacher import Targets, Teacher
 
 UNITS = (0.25, 0.25, 0.3)

@@ -7,7 +7,7 @@ import torch
 from lerobot_policy_obact.camera import Pinhole
 from lerobot_policy_obact.encoders import ENCODERS, SHIPPED, Eye
 from lerobot_policy_obact.eye.pretraining import sighting_loss
-from transformers import ViTConfig, ViTImageProcessor, ViTModel
+from transformers import ConvNextConfig, ConvNextModel, ViTConfig, ViTImageProcessor, ViTModel
 
 LOOKS_ALONG_X = [-0.15, 0.03, 0.21, 0.5, 0.5, -0.5, -0.5]
 """Pose of a camera behind the palm that looks along +x, with z up."""
@@ -92,19 +92,30 @@ def test_weights_that_are_not_there_are_named(tmp_path: Path):
         Eye(weights=str(tmp_path / "nothing.safetensors")).load_pretrained()
 
 
-@pytest.mark.parametrize("name", ["conv", "transformers"])
+SMALL_VIT = {
+    "hidden_size": 16,
+    "num_hidden_layers": 1,
+    "num_attention_heads": 2,
+    "intermediate_size": 16,
+    "image_size": 32,
+    "patch_size": 8,
+}
+SMALL_CONVNEXT = {"hidden_sizes": [8, 16], "depths": [1, 1], "num_stages": 2}
+
+
+@pytest.mark.parametrize("name", ["conv", "vit", "convnext"])
 def test_an_encoder_with_cells_gives_a_sighting_and_an_embedding(name: str, tmp_path: Path):
     options = {}
-    if name == "transformers":
-        small = {
-            "hidden_size": 16,
-            "num_hidden_layers": 1,
-            "num_attention_heads": 2,
-            "intermediate_size": 16,
-        }
-        ViTModel(ViTConfig(image_size=32, patch_size=8, **small)).save_pretrained(tmp_path)
+    if name != "conv":
+        vit = name == "vit"
+        model = (
+            ViTModel(ViTConfig(**SMALL_VIT))
+            if vit
+            else ConvNextModel(ConvNextConfig(**SMALL_CONVNEXT))
+        )
+        model.save_pretrained(tmp_path)
         ViTImageProcessor().save_pretrained(tmp_path)
         options = {"name": str(tmp_path)}
-    encoder = ENCODERS[name](embedding=7, **options)
+    encoder = ENCODERS["transformers" if options else name](embedding=7, **options)
     encoder.load_pretrained()
     assert encoder(torch.rand(2, 3, 64, 64)).shape == (2, 5 + 7)

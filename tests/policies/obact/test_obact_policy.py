@@ -63,9 +63,15 @@ HAND = {name: FEATURES[name] for name in ("input_features", "output_features")}
 
 
 def lerobot_train(
-    monkeypatch: pytest.MonkeyPatch, root: Path, out: Path, **options: object
+    monkeypatch: pytest.MonkeyPatch,
+    root: Path,
+    out: Path,
+    given: dict[str, object] | None = None,
+    **options: object,
 ) -> Path:
-    """Train for two steps, and return the checkpoint."""
+    """Train for two steps with options of the policy, and others that are ``given``, and return the
+    checkpoint.
+    """
     AcceleratorState._reset_state(
         reset_partial_state=True
     )  # each command is a process of its own otherwise
@@ -80,7 +86,7 @@ def lerobot_train(
         "seed": 1,
         "steps": 2,
     }
-    options |= {"batch_size": 2, "save_freq": 2, "num_workers": 0, "log_freq": 1}
+    options |= {"batch_size": 2, "save_freq": 2, "num_workers": 0, "log_freq": 1} | (given or {})
     words = [
         f"--{k}={v if isinstance(v, str | Path) else json.dumps(v)}" for k, v in options.items()
     ]
@@ -334,7 +340,7 @@ def test_without_the_targets_path_the_closed_loop_is_off_and_says_so(hand_root, 
     for folder in ("privileged", "privileged_episodes"):
         shutil.rmtree(root / "meta" / folder)
     policy = learner(root)
-    assert "the closed loop is off for local/tiny: it lacks the target's path" in caplog.text
+    assert "the closed loop is off for local/tiny: it learns actions alone" in caplog.text
     assert set(policy(batch_of(policy, root))[1]) == {"action"}
 
 
@@ -380,6 +386,104 @@ def test_each_camera_starts_from_weights_of_its_own():
         torch.testing.assert_close(
             eye.attention.query.weight, load_file(SHIPPED[name])["attention.query.weight"]
         )
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"encoder": "conv", "freeze_encoder": None},
+        {"freeze_encoder": False},
+        {"encoder": "eye", "encoder_options": {"embedding": 3, "weights": "ego_96"}},
+    ],
+    ids=["conv", "trained", "embedding"],
+)
+def test_sightings_are_for_the_eye_that_made_them(changes: dict, hand_root: Path):
+    with pytest.raises(ValueError, match="has sightings instead of images, which only"):
+        learner(hand_root, **changes)
+
+
+def test_sightings_without_a_state_teach_actions(hand_root: Path, tmp_path: Path):
+    root, source = tmp_path / "stateless", LeRobotDataset("local/tiny", root=hand_root)
+    others = ["observation.phase", "observation.touch"]
+    gone = ["observation.state", *(key for key in others if key in source.features)]
+    modify_features(source, remove_features=gone, output_dir=root)
+    policy = learner(root)
+    assert set(policy(batch_of(policy, root))[1]) == {"action"}
+    assert policy.select_action(step(policy)).isfinite().all()
+
+
+def test_actions_that_are_displacements_do_not_count_from_the_palm(tmp_path: Path):
+    root = generated(
+        tmp_path / "grasp", "--image-size", "96", "--control-mode", "grasp", episodes=2
+    )
+    policy = learner(root, n_future_steps=0, output_features=features_of(root, "action"))
+    assert policy.config.relative_dims == 0
+    assert policy(batch_of(policy, root))[0].isfinite()
+
+
+def features_of(root: Path, *keys: str) -> dict[str, PolicyFeature]:
+    meta = LeRobotDatasetMetadata("local/tiny", root=root)
+    return {key: dataset_to_policy_features(meta.features)[key] for key in keys}
+
+
+def test_a_frozen_encoder_refuses_images_that_are_changed(image_root, tmp_path, monkeypatch):
+    frozen = RECORDED | {"n_future_steps": 0}
+    change = {"dataset.image_transforms.enable": True}
+    with pytest.raises(ValueError, match=r"image_transforms.enable is true, but must be false"):
+        lerobot_train(monkeypatch, image_root, tmp_path / "out", given=change, **frozen)
+    config = {"dataset": {"image_transforms": {"enable": True}}}
+    (tmp_path / "config.json").write_text(json.dumps(config))
+    change = {"config_path": tmp_path / "config.json"}
+    with pytest.raises(ValueError, match=r"image_transforms.enable is true, but must be false"):
+        lerobot_train(monkeypatch, image_root, tmp_path / "out", given=change, **frozen)
+
+
+def test_an_encoder_that_is_trained_learns_from_images_that_are_changed(
+    push_root, tmp_path, monkeypatch
+):
+    change = {"dataset.image_transforms.enable": True}
+    lerobot_train(monkeypatch, push_root, tmp_path / "out", given=change)
+
+
+def fine_tuned(checkpoint: Path, root: Path, **changes: object) -> ObActPolicy:
+    """A checkpoint that is about to learn from a dataset, as `lerobot-train --policy.path` opens
+    it.
+    """
+    config = ObActConfig.from_pretrained(checkpoint)
+    for name, value in changes.items():
+        setattr(config, name, value)
+    config.pretrained_path = checkpoint
+    config.output_features = features_of(root, "action")
+    meta = LeRobotDatasetMetadata("local/tiny", root=root)
+    return ObActPolicy.from_pretrained(
+        checkpoint, config=config, dataset_stats=meta.stats, dataset_meta=meta
+    ).train()
+
+
+def test_what_learned_actions_alone_goes_on_so_where_the_targets_path_is_known(
+    hand_root: Path, tmp_path: Path
+):
+    learner(hand_root, forecast_weight=0.0).save_pretrained(tmp_path)
+    for weight in (0.0, 1.0):
+        policy = fine_tuned(tmp_path, hand_root, forecast_weight=weight)
+        assert set(policy(batch_of(policy, hand_root))[1]) == {"action"}
+
+
+def test_what_learned_to_forecast_is_not_trained_without(hand_root: Path, tmp_path: Path):
+    learner(hand_root).save_pretrained(tmp_path)
+    with pytest.raises(ValueError, match="learned to forecast the target"):
+        fine_tuned(tmp_path, hand_root, forecast_weight=0.0)
+
+
+def test_an_exported_policy_averages_again_from_its_own_weights(hand_root: Path, tmp_path: Path):
+    policy = learner(hand_root)
+    policy.keep_average()
+    policy.save_pretrained(tmp_path)
+    again = fine_tuned(tmp_path, hand_root, ema_decay=0.9)
+    before = policy.model.state_dict()
+    for name, weight in again.acting.state_dict().items():
+        if not name.startswith(("action_", "state_")):  # statistics of the dataset
+            torch.testing.assert_close(weight, before[name])
 
 
 # -- acting ----------------------------------------------------------------------------------------
@@ -432,6 +536,12 @@ def varied(**changes: object) -> ObActPolicy:
     return policy
 
 
+def forecasting(**changes: object) -> ObActPolicy:
+    """A policy whose draws differ, and which forecasts."""
+    robot = Embodiment(palm_speed_m_s=0.5, capture="attach")
+    return varied(encoder="eye", freeze_encoder=True, embodiment=robot, **changes)
+
+
 def played(policy: ObActPolicy, rows: list[int], frames: int = 4) -> torch.Tensor:
     """The actions of some of 32 environments, ``(T, B, A)``."""
     policy.reset()
@@ -450,7 +560,6 @@ def test_an_action_follows_from_what_was_seen_and_not_from_batch_order_interrupt
         torch.testing.assert_close(played(policy, rows), together[:, rows], atol=0, rtol=0)
     again = played(varied(), [5])
     torch.testing.assert_close(again, together[:, [5]], atol=0, rtol=0)
-    assert (played(varied(noise_seed=1), [5]) - again).abs().max() > 1e-3
 
 
 def test_every_frame_has_noise_of_its_own():
@@ -587,11 +696,8 @@ def test_real_time_chunking_guides_no_chunk():
 
 def test_a_chunk_that_is_late_follows_from_the_palm_as_it_will_be(monkeypatch):
     """A hand that goes where it was told, and a chunk that is there two frames later."""
-    robot = Embodiment(palm_speed_m_s=0.5, capture="attach")
-    policy = varied(
-        horizon=6, encoder="eye", freeze_encoder=True, embodiment=robot, head="regression",
-        head_options={}
-    )  # fmt: skip
+    policy = forecasting(horizon=6, head="regression", head_options={})
+    robot = policy.config.embodiment
     asked, condition = [], policy._actor.condition
 
     def told(forecast, palm, state):
@@ -614,6 +720,61 @@ def test_a_chunk_that_is_late_follows_from_the_palm_as_it_will_be(monkeypatch):
     assert (chunks[0][:, 0] == chunks[0][:, 2]).all(), "what is past stands still"
     torch.testing.assert_close(asked[2].float(), palms[6], atol=1e-5, rtol=0)
     assert (palms[6] - palms[4]).norm(dim=-1).min() > robot.step_m
+
+
+def test_while_a_chunk_is_awaited_the_last_one_goes_on():
+    policy = forecasting(horizon=8, n_action_steps=6, inference_delay=3)
+    batch, actions = step(policy), []
+    for i in range(12):
+        batch["observation.state"] = batch["observation.state"] + 0.01
+        actions.append(policy.select_action(batch | {"timestamp": torch.tensor([0.05 * i])}))
+    first, second = torch.stack(actions[:6]), torch.stack(actions[6:])
+    assert (first[:3] == first[3]).all(), "nothing was commanded before"
+    assert (second[:3] != second[3]).any(-1).all(), "what goes on is not what follows"
+    assert (second[0] != second[1]).any()
+    torch.testing.assert_close(second[1], second[2])  # after its last action, where that led
+
+
+def test_without_a_forecast_a_late_chunk_is_the_one_of_a_hand_that_acts_at_once():
+    policy = varied(horizon=8)
+    at_once = policy.predict_action_chunk(step(policy))
+    policy.reset()
+    torch.testing.assert_close(policy.predict_action_chunk(step(policy), 3), at_once)
+
+
+def waiting(policy: ObActPolicy, palms: list[float], told: list[float]) -> torch.Tensor:
+    """Where a hand is expected that was at ``palms`` [m] along x and ``told`` [m] to go there."""
+    commands = policy._commands
+    history = torch.zeros(1, len(palms), 3)
+    history[0, :, 0] = torch.tensor(palms)
+    for frame, goal in enumerate(told):
+        chunk = torch.zeros(1, 1, 18)
+        chunk[:, :, 0] = goal
+        commands.give(chunk, frame, 0)
+    return commands.due(history, len(palms) - 1, 0)[0, 0]
+
+
+@pytest.mark.parametrize(
+    ("palms", "told", "due"),
+    [
+        ([0.1, 0.1, 0.1, 0.1], [0.1, 0.1, 0.2], 0.125),
+        ([0.1, 0.1, 0.1, 0.1], [0.2, 0.2, 0.2], 0.1),
+        ([0.1, 0.125, 0.15, 0.175], [0.2, 0.2, 0.3], 0.2),
+    ],
+    ids=["it hovered where it was told", "it is held", "it goes where it was told"],
+)
+def test_commands_on_their_way_count_unless_the_hand_is_held(palms: list, told: list, due: float):
+    robot = Embodiment(palm_speed_m_s=0.5, delay_frames=1)
+    policy = varied(embodiment=robot)
+    assert float(waiting(policy, palms, told)) == pytest.approx(due, abs=1e-3)
+
+
+def test_a_long_episode_is_no_slower_and_keeps_no_more():
+    policy = varied(horizon=4, n_obs_steps=3)
+    for i in range(50):
+        policy.select_action(step(policy, seed=i))
+    assert len(policy._commands._actions) <= 6
+    assert len(policy._history.frames().time_s) == 3
 
 
 def test_recorded_actions_follow_from_where_the_palm_is_as_in_training():
@@ -735,9 +896,7 @@ def test_what_learned_from_the_targets_path_is_not_trained_where_there_is_none(
     config.pretrained_path = Path("ours")
     monkeypatch.setattr(dataset, "embodiment_of", lambda meta, cameras: Embodiment())
     meta = LeRobotDatasetMetadata("local/other", root=hand_root)
-    with pytest.raises(
-        ValueError, match="ours learned from the target's path, which local/other lacks"
-    ):
+    with pytest.raises(ValueError, match="ours learned to forecast the target, but from local"):
         ObActPolicy(config, dataset_meta=meta)
 
 

@@ -38,7 +38,17 @@ STATE_TYPES = {
 }
 """What a saved state holds."""
 HEAT_WEIGHT = 0.3
-WARMUP_UPDATES, GRADIENT_CLIP = 200, 5.0
+"""Weight of the cross-entropy of the cell that is attended to; only at first is it large."""
+LIKELIHOOD_WEIGHT = 0.1
+"""Weight of the likelihood, which teaches how sure a sighting is; the errors themselves teach where
+the target is."""
+ERROR_M = 0.05
+ERROR_SHARE = 0.3
+"""Errors in meters count in units of this much, and of this share of the distance more: what is
+farther away can be known less well."""
+LARGEST_ERROR = 4.0  # of these units: an eye that looks at something else learns no more from it
+WARMUP_UPDATES = 200
+GRADIENT_CLIP = 5.0
 
 
 def sighting_loss(eye: Eye, camera: Pinhole, images: Tensor, place: Tensor) -> Tensor:
@@ -52,20 +62,17 @@ def sighting_loss(eye: Eye, camera: Pinhole, images: Tensor, place: Tensor) -> T
         place: where the target is, relative to the camera's origin [m], world axes, ``(F, 3)``.
     """
     sighting, heat = eye.look(images)
-    seen, scales = sighting[:, :3], sighting[:, 3:5]
+    seen = sighting[:, :3]
+    scales = sighting[:, 3:5]
     true = camera.seen(place)
     across = (seen[:, :2] - true[:, :2]).square().sum(-1).add(1e-8).sqrt()
     along = (seen[:, 2] - true[:, 2]).abs()
     error = torch.stack([across, along], dim=-1)  # (F, 2)
     likelihood = (error * (-scales).exp() + scales * scales.new_tensor([2.0, 1.0])).sum(-1)
-    metric = (camera.place(seen) - place).norm(dim=-1) / (0.05 + 0.3 * place.norm(dim=-1))
-    return (
-        HEAT_WEIGHT * _heat_loss(heat, true)
-        + 0.1 * likelihood
-        + across
-        + along
-        + metric.clamp_max(4.0)
-    )
+    unit_m = ERROR_M + ERROR_SHARE * place.norm(dim=-1)
+    metric = ((camera.place(seen) - place).norm(dim=-1) / unit_m).clamp_max(LARGEST_ERROR)
+    found = HEAT_WEIGHT * _heat_loss(heat, true)
+    return found + LIKELIHOOD_WEIGHT * likelihood + across + along + metric
 
 
 def _heat_loss(heat: Tensor, true: Tensor) -> Tensor:

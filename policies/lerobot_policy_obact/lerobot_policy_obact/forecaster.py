@@ -1,0 +1,211 @@
+"""From the observation history to a forecast: where the target is seen, and where it will be.
+
+sighted     places that each camera saw, in the frame of the state
+fused       one place a frame: each camera counts by what it is sure of
+tokens      of frames, with causal attention over them (`attention`)
+readout     places sighted earlier, averaged by attention, and a forecast that combines these
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import cast
+
+import torch
+from einops import einsum, rearrange, repeat
+from torch import Tensor, nn
+
+from .attention import PositionReadout, TemporalBlock
+from .camera import Pinhole
+from .configuration_obact import ObActConfig
+from .encoders import N_SIGHTING
+from .frames import Frames, Record, gather_frames
+from .heads import perceptron
+
+FORECAST_FRAMES = (0, 1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48)
+"""Frames ahead at which the target's position is forecast."""
+PLACE_M = 0.3
+RAY_M = 0.4
+POINT_M = 0.1
+"""Units in which places, their offsets from the camera and differences between points enter the
+network: about their standard deviations."""
+FAR = 8.0  # inputs are cut to this many units: what is farther off is an error of the eye
+LOG_ERRORS = (-6.0, 3.0)
+LOG_ERROR_UNIT = 3.0
+"""Log scales of a sighting enter the network between these, in this unit: 0.2 % of the distance is
+less than a pixel, and twenty times the distance says that nothing was seen."""
+BLIND_LOG_ERROR = 2.0
+"""Where scales enter as numbers, they are cut here: seven times the distance is no knowledge."""
+LEAST_M = 1e-3  # distances and errors are at least this, so that none outvotes all others
+BEND_WIDTH = 256  # of the hidden layer of that correction
+UNCALIBRATED = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+"""Calibration, see `Embodiment`, of a camera that sees rays of unit depth from the origin."""
+
+
+@dataclass(frozen=True)
+class GrowingUnit:
+    """A unit of lengths that grows with the time ahead: what lies farther ahead is known less
+    well.
+    """
+
+    now_m: float
+    per_s: float  # by how much it is more for every second ahead [m/s]
+
+    def at(self, ahead_s: Tensor) -> Tensor:
+        """Return the unit at times ``(K,)`` [s], ``(K,)`` [m]."""
+        return self.now_m + self.per_s * ahead_s
+
+
+BEND = GrowingUnit(0.03, 0.5)
+"""Of the network's correction of the forecast: at first the eye's error, then half a palm's way."""
+
+
+@dataclass(frozen=True)
+class Forecast(Record):
+    """Where decisions, ``(B, Q)``, expect the target."""
+
+    features: Tensor  # (B, Q, D)
+    places: Tensor  # of the target [m], (B, Q, K, 3), see `FORECAST_FRAMES`
+    # weights of the T frames of the history in the J positions read out, (B, Q, J, T)
+    attention: Tensor | None = None
+
+    def later(self, frames: int) -> Forecast:
+        """Return it as it is so many frames later: for times that count from then."""
+        times = torch.tensor(FORECAST_FRAMES, device=self.places.device)
+        wanted = (times + frames).clamp_max(times[-1])
+        high = torch.searchsorted(times, wanted).clamp_min(1)
+        share = (wanted - times[high - 1]) / (times[high] - times[high - 1])
+        before = self.places[..., high - 1, :]
+        after = self.places[..., high, :]
+        return replace(self, places=torch.lerp(before, after, share.to(before)[:, None]))
+
+
+class Forecaster(nn.Module):
+    """Tokens of frames, causal attention over them, and a forecast that combines positions sighted
+    earlier.
+
+    Args:
+        config: with the embodiment filled in.
+        n_extra: numbers of a token beside those of the sightings.
+    """
+
+    ahead_s: Tensor
+
+    def __init__(self, config: ObActConfig, n_extra: int) -> None:
+        super().__init__()
+        dim = config.dim
+        n_ahead = len(FORECAST_FRAMES)
+        self.n_points = config.n_points
+        cameras = nn.ModuleList(
+            Pinhole.calibrated(config.embodiment.calibration.get(key, UNCALIBRATED))
+            for key in config.cameras
+        )
+        self.cameras = cast("list[Pinhole]", cameras)
+        ahead_s = torch.tensor(FORECAST_FRAMES) / config.embodiment.fps
+        self.register_buffer("ahead_s", ahead_s, persistent=False)
+        self.token = perceptron(3 + 6 * len(cameras) + n_extra, dim, dim)
+        self.blocks = nn.ModuleList(
+            TemporalBlock(dim, config.n_heads) for _ in range(config.n_layers)
+        )
+        self.norm = nn.LayerNorm(dim)
+        if self.n_points:
+            self.readout = PositionReadout(dim, self.n_points)
+            self.linear = nn.Linear(3 * self.n_points, 3 * n_ahead, bias=False)
+            nn.init.zeros_(self.linear.weight)
+        else:
+            self.now = nn.Linear(dim, 3)
+        bend = nn.Linear(BEND_WIDTH, 3 * n_ahead)
+        nn.init.zeros_(bend.weight)
+        read = perceptron(dim + 3 * self.n_points, BEND_WIDTH, BEND_WIDTH)
+        self.bend = nn.Sequential(read, nn.SiLU(), bend)
+
+    def forward(self, frames: Frames, rows: Tensor) -> Forecast:
+        """Return the forecast of decisions at frames ``rows`` ``(B, Q)``, each from the frames up
+        to its own.
+        """
+        eyes, rays = self.sighted(frames)
+        position = fused(eyes, rays, frames.sightings[..., 3:N_SIGHTING])
+        hidden = frames.hidden
+        first = position[:, :1] if hidden is None else _first_seen(position, hidden)
+        tokens = self.token(_inputs(frames.sightings, rays, position - first))
+        age_s = frames.time_s[:, None] - frames.time_s  # (T, T), negative ahead
+        for block in self.blocks:
+            tokens = block(tokens, age_s, hidden)
+        tokens = self.norm(tokens)
+        features = tokens.gather(1, repeat(rows, "b q -> b q d", d=tokens.shape[-1]))
+        points = attention = None
+        if self.n_points:
+            points, attention = self.readout(tokens, position - first, age_s, rows, hidden)
+        places = self._places(features, points) + first[:, :, None]
+        return Forecast(features, places, attention)
+
+    def sighted(self, frames: Frames) -> tuple[Tensor, Tensor]:
+        """Return where the cameras are, and where from there they see the target [m], ``(B, T, C,
+        3)`` each.
+        """
+        eyes = [cam.origin(frames.palm) + cam.pos for cam in self.cameras]
+        rays = [
+            cam.place(frames.sightings[:, :, i, :3]) - cam.pos for i, cam in enumerate(self.cameras)
+        ]
+        return torch.stack(eyes, dim=2), torch.stack(rays, dim=2)
+
+    def _places(self, decisions: Tensor, points: Tensor | None) -> Tensor:
+        """Combine the positions read out, ``(B, Q, J, 3)``, linearly, and bend the result by what
+        the tokens say.
+        """
+        if points is None:
+            base = PLACE_M * self.now(decisions)[:, :, None]
+            features = decisions
+        else:
+            anchor = points[:, :, :1]
+            differences = rearrange((points - anchor) / POINT_M, "b q j i -> b q (j i)")
+            combined = rearrange(self.linear(differences), "b q (k i) -> b q k i", i=3)
+            base = anchor + POINT_M * combined
+            features = torch.cat([decisions, differences.clamp(-FAR, FAR)], dim=-1)
+        bend = rearrange(self.bend(features), "b q (k i) -> b q k i", i=3)
+        return base + bend * BEND.at(self.ahead_s)[:, None]
+
+
+def _inputs(sightings: Tensor, rays: Tensor, place: Tensor) -> Tensor:
+    """Return what a frame's token is made of, ``(B, T, 3 + C (6 + E))``.
+
+    Args:
+        sightings: see `Frames`.
+        rays: from the cameras [m], ``(B, T, C, 3)``.
+        place: where they see the target, from where it was seen first [m], ``(B, T, 3)``.
+    """
+    scales = sightings[..., 3:N_SIGHTING]
+    by_camera = [
+        scales.clamp(*LOG_ERRORS) / LOG_ERROR_UNIT,
+        scales[..., :1].clamp_max(BLIND_LOG_ERROR).exp(),
+        (rays / RAY_M).clamp(-FAR, FAR),
+    ]
+    seen = torch.cat(by_camera, dim=-1).flatten(2)
+    embedding = sightings[..., N_SIGHTING:].flatten(2)
+    return torch.cat([(place / PLACE_M).clamp(-FAR, FAR), seen, embedding], dim=-1)
+
+
+def fused(eyes: Tensor, rays: Tensor, scales: Tensor) -> Tensor:
+    """Return where the cameras together place the target [m], ``(B, T, 3)``: each counts by what it
+    is sure of.
+
+    A camera's error is taken to be Gaussian with the ``scales`` ``(B, T, C, 2)`` it reports, across
+    and along its line of sight, so the lines of sight of two cameras cross where both are precise.
+    See `Forecaster.sighted` for the others.
+    """
+    if eyes.shape[2] == 1:
+        return (eyes + rays)[:, :, 0]
+    distance = rays.norm(dim=-1, keepdim=True).clamp_min(LEAST_M)
+    errors_m = scales.clamp(LOG_ERRORS[0], BLIND_LOG_ERROR).exp() * distance
+    across, along = (errors_m.clamp_min(LEAST_M) ** -2)[..., None].unbind(-2)  # (B, T, C, 1)
+    sight = rays / distance
+    line = einsum(sight, sight, "... i, ... j -> ... i j")
+    plane = torch.eye(3, device=line.device) - line
+    precision = across[..., None] * plane + along[..., None] * line  # (B, T, C, 3, 3)
+    weighted = precision @ (eyes + rays)[..., None]
+    return torch.linalg.solve(precision.sum(2), weighted.sum(2))[..., 0]
+
+
+def _first_seen(position: Tensor, hidden: Tensor) -> Tensor:
+    """Return positions ``(B, T, 3)`` in the first frames that are not ``hidden``, ``(B, 1, 3)``."""
+    return gather_frames(position, hidden.int().argmin(1)[:, None])
