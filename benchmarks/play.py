@@ -30,7 +30,7 @@ from support.options import benchmark_parser, write_numbers
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT, EGO_VIEW, PALM_DOF
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.evaluate.arguments import make_actor
+from dynahoi_lerobot.evaluate.actors import make_actor
 from dynahoi_lerobot.evaluate.gif import write_gif
 from dynahoi_lerobot.metrics import measure
 from dynahoi_lerobot.play.game import Game

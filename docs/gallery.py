@@ -20,7 +20,7 @@ import torch
 from dynahoi_lerobot.core.conventions import CONTROL_HZ, EGO_VIEW
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.nested import changed
-from dynahoi_lerobot.evaluate.arguments import make_actor
+from dynahoi_lerobot.evaluate.actors import make_actor
 from dynahoi_lerobot.evaluate.gif import BORDERS, phases_of, write_gif
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.motions import CATEGORIES, MOTIONS
@@ -196,8 +196,8 @@ def _bordered(episode: Episode) -> np.ndarray:
     phase.
     """
     images = episode.images[EGO_VIEW]
-    colours = np.array([BORDERS[phase] for phase in phases_of(episode)], dtype=np.uint8)  # (T, 3)
-    frames = np.broadcast_to(colours[:, None, None], images.shape).copy()
+    colors = np.array([BORDERS[phase] for phase in phases_of(episode)], dtype=np.uint8)  # (T, 3)
+    frames = np.broadcast_to(colors[:, None, None], images.shape).copy()
     inner = slice(BORDER_PX, -BORDER_PX)
     frames[:, inner, inner] = images[:, inner, inner]
     return frames

@@ -23,7 +23,7 @@ from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.core.reading import read_object, reading
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import CARD_PATH, CODEBASE_VERSION, INFO_PATH, MANIFEST_PATH
-from dynahoi_lerobot.evaluate.arguments import TRUST
+from dynahoi_lerobot.evaluate.actors import TRUST
 from dynahoi_lerobot.evaluate.checkpoint import (
     BASE,
     CONFIG,

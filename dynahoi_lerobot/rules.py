@@ -38,12 +38,12 @@ class Rules:
 
     protocol: str = option(
         DEFAULT_PROTOCOL,
-        "observation protocol: observe_before_act, direct_act, observe_then_blind or occluded",
+        f"observation protocol: {', '.join(PROTOCOLS)}",
         compared=True,
     )
     control_class: str = option(
         DEFAULT_CONTROL_CLASS,
-        "speed limits and command latency of the hand: standard, late or unlimited",
+        f"speed limits and command latency of the hand: {', '.join(CONTROL_CLASSES)}",
         compared=True,
     )
     control_mode: str = option(

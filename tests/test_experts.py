@@ -14,7 +14,7 @@ from dynahoi_lerobot.core.protocols import CONTROL_CLASSES, is_acting
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.dataset.quality_control import trajectory_problems
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.experts.baselines import home_table
+from dynahoi_lerobot.experts.baselines import fixed_path, home_table
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.experts.match import approach
 from dynahoi_lerobot.metrics import measure
@@ -68,6 +68,11 @@ def test_baselines_that_see_nothing_are_not_privileged():
         "hold",
         "blind_path",
     }
+
+
+def test_the_stored_path_is_of_a_known_control_class():
+    with pytest.raises(ValueError, match="'brisk', only for standard, late, unlimited"):
+        fixed_path("brisk")
 
 
 @pytest.mark.parametrize("name", EXPERTS.names())

@@ -45,6 +45,21 @@ ROOMS = (
 those before it."""
 LEARNED = ("dynahoi_lerobot.env.stable_baselines",)
 """What adapts to Stable-Baselines3, and so imports torch; others import it in functions alone."""
+DOCUMENTED = {
+    "lerobot.configs",
+    "lerobot.datasets.dataset_metadata",
+    "lerobot.datasets.dataset_tools",
+    "lerobot.datasets.lerobot_dataset",
+    "lerobot.envs.configs",
+    "lerobot.policies.factory",
+    "lerobot.processor",
+    "lerobot.robots",
+    "lerobot.teleoperators",
+    "lerobot.utils.constants",
+    "lerobot.utils.errors",
+    "lerobot.utils.import_utils",
+}
+"""Modules of LeRobot that its documentation tells plugins to import."""
 TAUGHT = {"lerobot_policy_obact/lerobot_policy_obact/eye/pretraining"}
 """Modules of policies that import the core."""
 PROGRAM = """
@@ -146,6 +161,18 @@ def test_policies_import_nothing_of_the_core_but_what_trains_an_eye():
 def test_the_core_imports_no_policy():
     policies = {path.name for path in (PACKAGE.parent / "policies").iterdir()}
     assert not imports_from(policies, PACKAGE, "**/*.py")
+
+
+def test_what_lerobot_may_rename_is_imported_in_one_module():
+    folders = (PACKAGE, PACKAGE.parent / "envs")
+    found = set()
+    for path in (path for folder in folders for path in folder.rglob("*.py")):
+        if path.name == "lerobot_internals.py":
+            continue
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and f"{node.module}.".startswith("lerobot."):
+                found.add(node.module)
+    assert found <= DOCUMENTED
 
 
 def test_every_folder_is_a_room():

@@ -11,6 +11,7 @@ from typing import Any
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.core.arguments import argument, option
 from dynahoi_lerobot.core.features import FEATURES, Feature, image_feature
+from dynahoi_lerobot.core.protocols import CONTROL_CLASSES, PROTOCOLS
 from dynahoi_lerobot.core.registry import Registry
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.hands import HANDS
@@ -77,6 +78,22 @@ def _metrics() -> list[Row]:
     ]
 
 
+def _control_classes() -> list[Row]:
+    return [
+        {
+            "name": name,
+            "palm": f"{control.palm_speed_m_s:g} m/s",
+            "joints": f"{control.joint_speed_rad_s:g} rad/s",
+            "latency": f"{control.latency_ms:g} ms",
+        }
+        for name, control in CONTROL_CLASSES.items()
+    ]
+
+
+def _protocols() -> list[Row]:
+    return [{"name": name, "description": protocol.meaning} for name, protocol in PROTOCOLS.items()]
+
+
 def _features() -> list[Row]:
     rows = [_feature(image_feature("*", 0), "H, W, 3")]
     return rows + [
@@ -108,6 +125,8 @@ LISTS: dict[str, Callable[[], list[Row]]] = {
     "objects": _objects,
     "metrics": _metrics,
     "captures": _described(CAPTURES),
+    "control-classes": _control_classes,
+    "protocols": _protocols,
     "experts": _described(EXPERTS),
     "features": _features,
     "hands": lambda: [{"name": name, "description": hand.summary} for name, hand in HANDS.items()],

@@ -2,7 +2,7 @@
 
 import argparse
 import importlib
-import logging
+import os
 import signal
 import sys
 import warnings
@@ -16,6 +16,7 @@ from dynahoi_lerobot.core.arguments import CommandError, add_options, read_optio
 from dynahoi_lerobot.core.caches import ensure_caches
 from dynahoi_lerobot.core.escaping import Terminal, shortened
 from dynahoi_lerobot.core.files import check_output
+from dynahoi_lerobot.core.lerobot_internals import video_backend_unspoken
 
 COMMANDS = {
     "quickstart": (
@@ -60,7 +61,11 @@ code, or raises what ``exit_code`` puts into a sentence: ValueError, FileExistsE
 FileNotFoundError for bad input, CommandError and OSError for a failure.
 """
 
-FAILED, BAD_INPUT, STOPPED = 1, 2, 130
+FAILED = 1
+BAD_INPUT = 2
+STOPPED = 130
+CLOSED = 141
+"""Exit codes; the last two as shells have them for programs ended by SIGINT and SIGPIPE."""
 EXTRAS = {
     "datatrove": "scale",
     "ray": "scale",
@@ -91,8 +96,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code: 0 success, 1 failure, 2 bad input, 130
     interrupted.
     """
-    # it warns in 90 lines that torchcodec is unusable, which `dynahoi doctor` reports in one
-    logging.getLogger("lerobot.utils.import_utils").setLevel(logging.ERROR)
     words = list(sys.argv[1:] if argv is None else argv)
     parser = _Parser(prog="dynahoi", description="Catching moving objects with a dexterous hand.")
     parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
@@ -113,7 +116,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         add_options(commands.choices[name], command.Options)
         options = read_options(command.Options, vars(commands.choices[name].parse_args(words[1:])))
         _check_outputs(options)
-        return command.run(options)
+        with video_backend_unspoken():
+            return command.run(options)
 
     return exit_code(spoken, run)
 
@@ -122,20 +126,30 @@ def exit_code(spoken: str, run: Callable[[], int]) -> int:
     """Return the exit code of ``run``, or print in one sentence, after what was ``spoken``, what
     stopped it.
     """
-    out, err = (cast("TextIO", Terminal(stream)) for stream in (sys.stdout, sys.stderr))
+    out = cast("TextIO", Terminal(sys.stdout))
+    err = cast("TextIO", Terminal(sys.stderr))
     with redirect_stdout(out), redirect_stderr(err), _left_out_in_one_line(spoken):
         try:
-            return run()
+            code = run()
+            sys.stdout.flush()
+            return code
+        except BrokenPipeError:  # the reader, such as `head`, has had enough
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return CLOSED
         except ModuleNotFoundError as error:
             extra = EXTRAS.get((error.name or "").partition(".")[0])
             remedy = f"which the extra `{extra}` installs" if extra else "which is not installed"
-            sentence, code = f"it needs {error.name}, {remedy}", BAD_INPUT
+            sentence = f"it needs {error.name}, {remedy}"
+            code = BAD_INPUT
         except (ValueError, FileExistsError, FileNotFoundError) as error:
-            sentence, code = _sentence(error), BAD_INPUT
+            sentence = _sentence(error)
+            code = BAD_INPUT
         except (OSError, CommandError) as error:
-            sentence, code = _sentence(error), FAILED
+            sentence = _sentence(error)
+            code = FAILED
         except KeyboardInterrupt:
-            sentence, code = "interrupted; run the same command to resume", STOPPED
+            sentence = "interrupted; run the same command to resume"
+            code = STOPPED
         print(f"{spoken}: {sentence}", file=sys.stderr)
         return code
 

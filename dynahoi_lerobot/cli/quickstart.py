@@ -230,7 +230,7 @@ def run_lerobot(
         CommandError: if it fails.
     """
     log = out / f"lerobot_{command}.log"
-    words = [sys.executable, "-m", f"lerobot.scripts.lerobot_{command}", *arguments]
+    words = [sys.executable, "-m", "dynahoi_lerobot.cli.lerobot_command", command, *arguments]
     with log.open("w", encoding="utf-8") as file:
         print(f"lerobot-{command}", *arguments, file=file, flush=True)
         environment = _threads(min(THREADS[command], cores()))

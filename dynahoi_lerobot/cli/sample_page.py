@@ -41,15 +41,11 @@ def write_sample(out: Path, store: Store, key: str, per_kind: int) -> int:
     episodes = [_episode(store, index, key, columns) for index in chosen]
     _scale_closing(episodes)
     data = {"episodes": episodes, "columns": SHEET_COLUMNS, "command": removal_command(store.root)}
-    template = Environment(autoescape=True, undefined=StrictUndefined).from_string(
-        TEMPLATE.read_text("utf-8")
-    )
-    text = template.render(
+    text = filled(
+        TEMPLATE,
+        data,
         title=f"{len(chosen)} of the {store.episodes} episodes of {store.root}",
         has_target=any("target" in episode for episode in episodes),
-        data=Markup(
-            json.dumps(data, allow_nan=False).replace("<", "\\u003c")
-        ),  # it cannot end the script element
     )
     write_atomically({out: lambda draft: draft.write_text(text, encoding="utf-8")})
     return len(chosen)
@@ -126,7 +122,7 @@ def _episode(
         "window": window,
         "grasp": grasp,
         "closing": closing,
-        "sheet": _sheet(images),
+        "sheet": sheet(images),
     } | {name: np.round(values, 4).tolist() for name, values in told.items()}
 
 
@@ -147,13 +143,20 @@ def _scale_closing(episodes: list[dict[str, Any]]) -> None:
             episode["closing"][name] = np.round(np.clip(share, 0.0, 1.0), 3).tolist()
 
 
-def _sheet(images: np.ndarray) -> str:
-    """Return a data URL of all images, row by row."""
+def sheet(images: np.ndarray) -> str:
+    """Return a data URL of all images (T, H, W, 3) uint8, ``SHEET_COLUMNS`` in a row."""
     height, width = images.shape[1:3]
-    sheet = Image.new("RGB", (SHEET_COLUMNS * width, -(-len(images) // SHEET_COLUMNS) * height))
+    whole = Image.new("RGB", (SHEET_COLUMNS * width, -(-len(images) // SHEET_COLUMNS) * height))
     for i, image in enumerate(images):
-        sheet.paste(
-            Image.fromarray(image), (i % SHEET_COLUMNS * width, i // SHEET_COLUMNS * height)
-        )
-    sheet.save(buffer := io.BytesIO(), "JPEG", quality=JPEG_QUALITY)
+        place = (i % SHEET_COLUMNS * width, i // SHEET_COLUMNS * height)
+        whole.paste(Image.fromarray(image), place)
+    buffer = io.BytesIO()
+    whole.save(buffer, "JPEG", quality=JPEG_QUALITY)
     return data_url("image/jpeg", buffer.getvalue())
+
+
+def filled(template: Path, data: dict[str, Any], **words: Any) -> str:
+    """Return a page in whose script element ``data`` lies, which cannot end it."""
+    environment = Environment(autoescape=True, undefined=StrictUndefined)
+    text = json.dumps(data, allow_nan=False).replace("<", "\\u003c")
+    return environment.from_string(template.read_text("utf-8")).render(data=Markup(text), **words)

@@ -95,11 +95,11 @@ def _strip(thought: Any, n_frames: int) -> np.ndarray:
 def _legend() -> np.ndarray:
     legend = np.full((LEGEND_PX, WIDTH_PX, 3), BACK, np.uint8)
     words = (("+ seen", SIGHTED, 6), ("o expected", EXPECTED, 80), ("O meeting", MEETING, 185))
-    for word, colour, column in (*words, ("bars: weight of each frame", SIGHTED, 280)):
-        _write(legend, word, (column, 14), colour)
+    for word, color, column in (*words, ("bars: weight of each frame", SIGHTED, 280)):
+        _write(legend, word, (column, 14), color)
     return legend
 
 
-def _write(page: np.ndarray, text: str, at: tuple[int, int], colour: tuple[int, int, int]) -> None:
-    for shade, width in ((BACK, 3), (colour, 1)):
+def _write(page: np.ndarray, text: str, at: tuple[int, int], color: tuple[int, int, int]) -> None:
+    for shade, width in ((BACK, 3), (color, 1)):
         cv2.putText(page, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.42, shade, width, cv2.LINE_AA)

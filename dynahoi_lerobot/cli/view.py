@@ -4,7 +4,6 @@ page.
 With ``--sample`` a page of several episodes of a dataset.
 """
 
-import html
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -12,31 +11,36 @@ from typing import Any
 
 import numpy as np
 
-from dynahoi_lerobot.cli.sample_page import column, read_episode, write_sample
+from dynahoi_lerobot.cli.sample_page import (
+    SHEET_COLUMNS,
+    column,
+    filled,
+    read_episode,
+    sheet,
+    write_sample,
+)
 from dynahoi_lerobot.cli.thoughts import drawn
 from dynahoi_lerobot.core.arguments import given_of, option, whole
 from dynahoi_lerobot.core.conventions import (
     CONTROL_HZ,
-    DEFAULT_IMAGE_SIZE_PX,
     EGO_VIEW,
     SEED_LIMIT,
 )
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.escaping import data_url
 from dynahoi_lerobot.core.features import IMAGE_PREFIX
 from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.core.protocols import is_acting
 from dynahoi_lerobot.core.reading import reading
 from dynahoi_lerobot.dataset.store import Store
-from dynahoi_lerobot.evaluate.arguments import (
+from dynahoi_lerobot.evaluate.actors import (
     AS_TRAINED,
     EXPERT_ALIAS,
     TRUST,
     make_actor,
     playing_rules,
 )
-from dynahoi_lerobot.evaluate.gif import encode_gif, frame_phases, phases_of
+from dynahoi_lerobot.evaluate.gif import BORDERS, encode_gif, frame_phases, phases_of
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.experts import EXPERTS
@@ -49,6 +53,9 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.splits import kind_seeds
 from dynahoi_lerobot.world.batch import WorldBatch
+
+SHOWN_PX = 384
+"""Least width of a clip, in which episodes are rendered, unless a policy sees smaller images."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,6 +173,8 @@ def _played(motion: str, options: Options) -> Clip:
         actor.thoughts = []
     else:
         actor = make_actor(options.policy, given.get("capture", Rules.capture), trust=options.trust)
+    if not actor.sees_images:
+        given.setdefault("image_size", SHOWN_PX)
     if options.view != EGO_VIEW:
         given["views"] = (*given.get("views", ()), options.view)
     if not BENCHMARK.splits_with(
@@ -206,7 +215,7 @@ def _replayed(folder: Path, options: Options) -> Clip:
     if recipe_code(recipe) != results.info.code:
         print("other code produced these results: the replay may differ from the evaluated episode")
     index = seeds.index(options.seed)
-    size = options.given.get("image_size", recipe.rules.image_size or DEFAULT_IMAGE_SIZE_PX)
+    size = options.given.get("image_size", SHOWN_PX)
     views = () if options.view == EGO_VIEW else (options.view,)
     shown = changed(recipe, {"image_size": size, "views": views})
     (episode,) = replay(shown, [results.log(index)], as_evaluated=True)  # a log may go on for days
@@ -252,15 +261,7 @@ def _stored_phases(root: Path, frames: slice) -> list[str] | None:
 # -- files -----------------------------------------------------------------------------------------
 
 
-MIN_WIDTH_PX = 384
-"""Least width of a GIF; smaller frames are enlarged."""
-
-PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>{caption}</title>
-<meta http-equiv="Content-Security-Policy"
- content="default-src 'none'; img-src data:; style-src 'unsafe-inline'">
-<style>body{{font:16px system-ui;background:#111;color:#ddd;text-align:center}}
-img{{image-rendering:pixelated}}</style>
-<p>{caption}</p><img alt="{caption}" src="{address}">"""
+CLIP_PAGE = Path(__file__).with_name("clip_page.html")
 
 
 def write_clip(path: Path, clip: Clip) -> None:
@@ -270,17 +271,21 @@ def write_clip(path: Path, clip: Clip) -> None:
     write_atomically({path: lambda draft: WRITERS[path.suffix](draft, clip)})
 
 
-def _gif(clip: Clip) -> bytes:
-    return encode_gif(
-        clip.frames, fps=clip.fps, caption=clip.caption, phases=clip.phases, min_width=MIN_WIDTH_PX
-    )
+def _write_gif(path: Path, clip: Clip) -> None:
+    shown = {"fps": clip.fps, "caption": clip.caption, "phases": clip.phases}
+    path.write_bytes(encode_gif(clip.frames, **shown, min_width=SHOWN_PX))
 
 
 def _write_html(path: Path, clip: Clip) -> None:
-    address = data_url("image/gif", _gif(clip))
-    path.write_text(
-        PAGE.format(caption=html.escape(clip.caption), address=address), encoding="utf-8"
-    )
+    """Write a page that plays at full speed or slower, and can be stopped."""
+    count, *sides = clip.frames.shape[:3]
+    scale = max(1, round(SHOWN_PX / sides[1]))
+    height, width = (scale * side for side in sides)
+    data = {"sheet": sheet(clip.frames), "columns": SHEET_COLUMNS, "count": count, "fps": clip.fps}
+    borders = {phase: f"rgb{color}" for phase, color in BORDERS.items()}
+    data |= {"width": width, "height": height, "phases": clip.phases, "borders": borders}
+    words = {"caption": clip.caption, "count": count, "width": width, "height": height}
+    path.write_text(filled(CLIP_PAGE, data, **words), encoding="utf-8")
 
 
 def _write_mp4(path: Path, clip: Clip) -> None:
@@ -298,7 +303,7 @@ def _write_mp4(path: Path, clip: Clip) -> None:
 
 
 WRITERS = {
-    ".gif": lambda path, clip: path.write_bytes(_gif(clip)),
+    ".gif": _write_gif,
     ".mp4": _write_mp4,
     ".html": _write_html,
 }

@@ -4,7 +4,7 @@ keep them apart.
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, ClassVar, Self
 
@@ -44,6 +44,16 @@ class Observation:
     touch: np.ndarray | None = None
     environment_state: np.ndarray | None = None
     sighting: np.ndarray | None = None
+
+    def of(self, worlds: np.ndarray) -> Self:
+        """Return what is seen of some worlds (n,)."""
+        arrays = {
+            name: None if value is None else value[worlds]
+            for name, value in vars(self).items()
+            if name not in {"images", "tasks"}
+        }
+        images = {view: pixels[worlds] for view, pixels in self.images.items()}
+        return replace(self, images=images, tasks=tuple(self.tasks[i] for i in worlds), **arrays)
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,6 +185,11 @@ class Actor(ABC):
 
     def reset(self, count: int) -> None:  # noqa: B027 - an actor without memory has nothing to forget
         """Forget everything; ``count`` new episodes begin."""
+
+    def leave(self, worlds: np.ndarray) -> None:  # noqa: B027 - most actors command them all
+        """Note that the episodes of ``worlds`` (n,) have ended; nobody executes what is commanded
+        there until the next ``reset``.
+        """
 
     def first_meeting(self, spec: EpisodeSpec, control: ControlClass) -> Meeting | None:
         """Return the meeting that it plans at the control start; None if it plans none."""

@@ -57,7 +57,8 @@ def _reader[N: (int, float)](
 ) -> Callable[[str], N]:
     def read(text: str) -> N:
         with suppress(ValueError):
-            if low <= (value := convert(text)) <= high:
+            value = convert(text)
+            if low <= value <= high:
                 return value
         raise ArgumentTypeError(f"must be {noun} from {low} to {high}, got {text or 'nothing'}")
 
@@ -84,19 +85,16 @@ def option(
         text: its help.
         read: parses what is given, instead of the entry of ``READERS`` for the type of the field.
         repr: whether the ``repr`` of the dataclass shows it.
-        settings: of argparse, such as ``choices``; or ``either``, True for those of which exactly
-            one must be given; or ``compared``, see `Rules`.
+        settings: of argparse, such as ``choices``; or ``compared``, see `Rules`.
     """
-    metadata = (
-        {"help": text, "required": default is MISSING} | ({"type": read} if read else {}) | settings
-    )
+    metadata = {"help": text, "required": default is MISSING} | settings
+    if read:
+        metadata["type"] = read
     if default is list:
         return field(default_factory=list, metadata={"action": "append"} | metadata)
-    return field(
-        default=default,
-        repr=repr,
-        metadata=({"action": "store_true"} if default is False else {}) | metadata,
-    )
+    if default is False:
+        metadata["action"] = "store_true"
+    return field(default=default, repr=repr, metadata=metadata)
 
 
 def argument(text: str, **settings: Any) -> Any:
@@ -121,16 +119,13 @@ def add_options(parser: ArgumentParser, cls: type) -> None:
 
     Values that are not given are left out, for the defaults of the dataclass.
     """
-    hints, either = get_type_hints(cls), None
+    hints = get_type_hints(cls)
     for entry in fields(cls):
         if "part" in entry.metadata:
-            for option_of, hint, note in _options_of(cls, entry):
-                _add_option(parser, option_of, hint, note)
-            continue
-        place: Any = parser
-        if entry.metadata.get("either"):
-            place = either = either or parser.add_mutually_exclusive_group(required=True)
-        _add_option(place, entry, hints[entry.name])
+            for inner, hint, note in _options_of(cls, entry):
+                _add_option(parser, inner, hint, note)
+        else:
+            _add_option(parser, entry, hints[entry.name])
 
 
 def _options_of(cls: type, part: Field[Any]) -> Iterator[tuple[Field[Any], Any, str]]:
@@ -149,20 +144,19 @@ def _options_of(cls: type, part: Field[Any]) -> Iterator[tuple[Field[Any], Any, 
                 yield entry, hints[entry.name], part.metadata["notes"].get(source, "")
 
 
-def _add_option(place: Any, entry: Field[Any], hint: Any, note: str = "") -> None:
-    read = next(
-        (read for kind, read in READERS.items() if hint in (kind, kind | None, list[kind])), None
-    )
-    settings = ({"type": read} if read else {}) | entry.metadata
-    for ours in ("either", "compared"):
-        settings.pop(ours, None)
+def _add_option(parser: ArgumentParser, entry: Field[Any], hint: Any, note: str = "") -> None:
+    settings = dict(entry.metadata)
+    settings.pop("compared", None)
+    for kind, read in READERS.items():
+        if hint in (kind, kind | None, list[kind]):
+            settings.setdefault("type", read)
     told = "; ".join(filter(None, (settings["help"], note)))
     if entry.default not in (MISSING, None, False, "", ()) and "default" not in told:
         told += f" (default: {entry.default})"
     settings |= {"help": told.replace("%", "%%"), "default": SUPPRESS}
     positional = "required" not in settings  # which argparse refuses for those
     name = entry.name if positional else "--" + entry.name.replace("_", "-")
-    place.add_argument(name, **settings)
+    parser.add_argument(name, **settings)
 
 
 def read_options(cls: type, given: Mapping[str, Any]) -> Any:

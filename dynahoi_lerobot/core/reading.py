@@ -40,7 +40,9 @@ class ReadError(ValueError):
 
 
 class LeftOut(Warning):
-    """Part of a file is left out and the rest is used; the message is one sentence."""
+    """A part, such as a column or a plugin, is left out and the rest is used; the message is one
+    sentence.
+    """
 
 
 @contextmanager
@@ -333,13 +335,15 @@ def read_table(path: Path, columns: Collection[str] | None = None, filters: Any 
     """
     import pyarrow.parquet as pq
 
-    with reading(path):
-        with open_table(path) as file:
-            missing = sorted(set(columns or ()) - set(file.schema_arrow.names))
-            if missing:
-                raise ValueError(f"it has no column {missing[0]!r}")
-        names = None if columns is None else list(columns)
-        return pq.read_table(regular(path), columns=names, filters=filters, partitioning="")
+    with reading(path), open_table(path) as file:
+        names = file.schema_arrow.names if columns is None else list(columns)
+        missing = sorted(set(names) - set(file.schema_arrow.names))
+        if missing:
+            raise ValueError(f"it has no column {missing[0]!r}")
+        if filters is not None:
+            return pq.read_table(regular(path), columns=names, filters=filters, partitioning="")
+        # read_table would take more than twice the memory where there are many row groups
+        return file.read(names).select(names)
 
 
 def read_rows(path: Path, columns: Collection[str] | None = None) -> Iterator[dict[str, Any]]:

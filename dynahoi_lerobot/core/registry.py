@@ -159,10 +159,12 @@ def import_plugin(entry: EntryPoint) -> None:
     try:
         entry.load()
     except Exception as error:  # whatever a stranger's module raises
+        from dynahoi_lerobot.core.reading import LeftOut
+
         source = f" of {entry.dist.name}" if entry.dist else ""
         problem = f"{type(error).__name__}: {error}"
         warnings.warn(
             f"the plugin {entry.name!r}{source} ({entry.value}) could not be imported: {problem}",
-            RuntimeWarning,
+            LeftOut,
             stacklevel=2,
         )

@@ -114,17 +114,25 @@ def _claim(path: Path, task: dict[str, Any]) -> None:
     """Write the task into a new folder or compare it with the task of an old one; remove drafts
     of killed processes.
     """
-    text = json.dumps(task, indent=4)
-    if not (path / TASK).exists():
+    if (path / TASK).exists():
+        _refuse_other(path, task)
+    else:
+        text = json.dumps(task, indent=4)
         write_atomically({path / TASK: lambda draft: draft.write_text(text)})
-    if (found := read_task(path)) is None:
+    for draft in path.glob(".*.part"):
+        draft.unlink()
+
+
+def _refuse_other(path: Path, task: dict[str, Any]) -> None:
+    """Refuse a folder that belongs to another task."""
+    found = read_task(path)
+    if found is None:
         raise FileExistsError(
             f"{path / TASK} cannot be read; remove {path} or choose another folder"
         )
-    if names := differences(found, json.loads(text)):
+    names = differences(found, json.loads(json.dumps(task)))
+    if names:
         raise FileExistsError(
             f"{path} holds the work of another run (other {names}); remove it or choose another "
             f"folder"
         )
-    for draft in path.glob(".*.part"):
-        draft.unlink()

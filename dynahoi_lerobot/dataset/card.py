@@ -54,7 +54,8 @@ def write_card(store: Store, manifest: Manifest) -> None:
     """
     histograms = {key: HISTOGRAM_PATH.format(key=key) for key in DRAWN}
     for key, name in histograms.items():
-        (path := store.root / name).parent.mkdir(exist_ok=True)
+        path = store.root / name
+        path.parent.mkdir(exist_ok=True)
         path.write_text(
             histogram_svg(frame_column(store.root, key), store.features[key]["names"]),
             encoding="utf-8",
@@ -134,11 +135,19 @@ def _size_category(rows: int) -> str:
     return f"{names[place - 1]}<n<{names[place]}" if place else f"n<{names[0]}"
 
 
-COLUMNS, WIDTH, HEIGHT, TOP, BOTTOM, GAP = 6, 130, 60, 16, 14, 10
-"""Panels in a row; of one panel its bars [px], the lines of text above and below them, the space to
-the next one."""
-INK, TEXT = "#4477aa", "#888888"
-"""Legible on the Hub's light and dark pages."""
+COLUMNS = 6
+"""Panels in a row."""
+WIDTH = 130
+HEIGHT = 60
+"""Of the bars of a panel [px]."""
+TOP = 16
+BOTTOM = 14
+"""Lines of text above and below them [px]."""
+GAP = 10
+"""Space between panels [px]."""
+INK = "#4477aa"
+TEXT = "#888888"
+"""Colors that are legible on the Hub's light and dark pages."""
 
 
 def histogram_svg(values: np.ndarray, names: Sequence[str]) -> str:
@@ -165,9 +174,11 @@ def _panel(name: str, values: np.ndarray) -> str:
     range.
     """
     values = values[np.isfinite(values)]
-    low, high = float(values.min(initial=np.inf)), float(values.max(initial=-np.inf))
+    low = float(values.min(initial=np.inf))
+    high = float(values.max(initial=-np.inf))
     counts, _ = np.histogram(values, BINS, (low, high) if high > low else None)
-    baseline, tallest = TOP + HEIGHT, math.log1p(counts.max()) or 1.0
+    baseline = TOP + HEIGHT
+    tallest = math.log1p(counts.max()) or 1.0
     bars = (baseline - HEIGHT * math.log1p(count) / tallest for count in counts)
     outline = (
         f"M0,{baseline}"

@@ -174,7 +174,8 @@ def frame_columns(
     """
     columns = {key: flat_array(values, schema.field(key).type) for key, values in arrays.items()}
     for view, images in episode.images.items():
-        if (key := IMAGE_PREFIX + view) in schema.names:
+        key = IMAGE_PREFIX + view
+        if key in schema.names:
             columns[key] = pa.array(
                 [_png_cell(image, number) for number, image in enumerate(images)], _IMAGE
             )
@@ -198,13 +199,12 @@ def column_array(table: pa.Table, key: str) -> np.ndarray:
     Raises:
         ValueError: if it holds anything but numbers, or rows of different lengths.
     """
-    values = column = table[key].combine_chunks()
+    column = table[key].combine_chunks()
+    values = column
     lengths: Any = [1]
     if is_list(column.type):
-        values, lengths = (
-            column.flatten(),
-            pc.call_function("list_value_length", [column]).unique().to_pylist(),
-        )
+        values = column.flatten()
+        lengths = pc.call_function("list_value_length", [column]).unique().to_pylist()
     if (
         not is_number(values.type)
         or column.null_count
@@ -266,7 +266,8 @@ def subtask_rows(acting: np.ndarray, localized: np.ndarray) -> list[dict[str, An
 
 
 def _png_cell(image: np.ndarray, number: int) -> dict[str, Any]:
-    Image.fromarray(image).save(buffer := io.BytesIO(), format="PNG", compress_level=6)
+    buffer = io.BytesIO()
+    Image.fromarray(image).save(buffer, format="PNG", compress_level=6)
     return {"bytes": buffer.getvalue(), "path": f"frame-{number:06d}.png"}
 
 
@@ -309,9 +310,12 @@ _LANGUAGE = pa.list_(
 
 
 def _arrow_type(feature: dict[str, Any]) -> pa.DataType:
-    if (kind := {"image": _IMAGE, "language": _LANGUAGE}.get(feature["dtype"])) is not None:
-        return kind
-    scalar, width = SCALARS[feature["dtype"]], feature["shape"][0]
+    if feature["dtype"] == "image":
+        return _IMAGE
+    if feature["dtype"] == "language":
+        return _LANGUAGE
+    scalar = SCALARS[feature["dtype"]]
+    width = feature["shape"][0]
     return scalar if width == 1 else pa.list_(scalar, width)
 
 

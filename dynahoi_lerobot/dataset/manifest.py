@@ -82,9 +82,11 @@ class Manifest:
         """
         check_schema(root)
         types = get_type_hints(cls)
-        content = read_object(path := root / MANIFEST_PATH, types)
+        path = root / MANIFEST_PATH
+        content = read_object(path, types)
         del content["schema"]
-        if unknown := sorted(content.keys() - types.keys()):
+        unknown = sorted(content.keys() - types.keys())
+        if unknown:
             raise ReadError(f"{path} has an unknown key {unknown[0]!r:.40}")
         return cls(**content)
 
@@ -99,7 +101,8 @@ def check_schema(root: Path) -> None:
     Raises:
         ReadError: naming the schema that was found and the one that is read.
     """
-    if not (path := root / MANIFEST_PATH).exists():
+    path = root / MANIFEST_PATH
+    if not path.exists():
         return
     require_schema(path, read_object(path), SCHEMA, "generate the dataset again with this version")
 
@@ -147,7 +150,8 @@ def structure_problems(root: Path, manifest: Manifest) -> Iterator[str]:
     reading them.
     """
     if manifest.sha256 != manifest.digest:
-        said, found = manifest.sha256[:12], manifest.digest[:12]
+        said = manifest.sha256[:12]
+        found = manifest.digest[:12]
         yield (
             f"{MANIFEST_PATH} has changed: the sha256 of its content is {found}..., it says "
             f"{said or 'nothing'}..."

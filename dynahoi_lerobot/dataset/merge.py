@@ -17,7 +17,7 @@ from av.packet import Packet
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.files import new_folder
-from dynahoi_lerobot.core.reading import reading, require
+from dynahoi_lerobot.core.reading import reading, validated
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import MANIFEST_PATH, FileLimits
@@ -55,9 +55,9 @@ def merge(
     first = _columns(stores[0])
     for store in stores[1:]:
         other = _columns(store)
-        if differing := [
-            key for key in sorted(first.keys() | other.keys()) if first.get(key) != other.get(key)
-        ]:
+        keys = sorted(first.keys() | other.keys())
+        differing = [key for key in keys if first.get(key) != other.get(key)]
+        if differing:
             raise ValueError(
                 f"{store.root} has other features than {stores[0].root} "
                 f"({', '.join(differing)}); merge datasets that "
@@ -99,7 +99,8 @@ def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest
         FileNotFoundError: if ``root`` holds no dataset of this project.
         ValueError: if no episode is kept, or one does not exist.
     """
-    store, kept = Store(root), set(episodes)
+    store = Store(root)
+    kept = set(episodes)
     if output.exists():
         raise FileExistsError(f"{output} exists; choose a new folder")
     if not (root / MANIFEST_PATH).is_file():
@@ -109,11 +110,11 @@ def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest
     manifest = Manifest.read(root)
     if not kept:
         raise ValueError("got no episodes to keep; a dataset needs at least one")
-    if unknown := sorted(kept - set(range(store.episodes))):
+    unknown = sorted(kept - set(range(store.episodes)))
+    if unknown:
         raise ValueError(f"episode {unknown[0]} does not exist; {root} holds {store.episodes}")
     with reading(root / MANIFEST_PATH):
-        require(told := {"limits": {}} | manifest.provenance, {"limits": FileLimits})
-        limits = FileLimits(**told["limits"])
+        limits = validated(FileLimits, manifest.provenance.get("limits", {}), "limits")
     provenance = manifest.provenance | {"kept": sorted(kept)}
     return _assemble(output, iter([(store, kept)]), limits, provenance, {})
 
@@ -158,10 +159,8 @@ def _episode_packets(
     """
     found = {}
     for key in store.video_keys:
-        path, start = (
-            store.video_path(row, key),
-            round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ),
-        )
+        path = store.video_path(row, key)
+        start = round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ)
         if key not in opened or opened[key][0] != path:
             opened[key] = path, enumerate(stored_packets(path))
         numbered = dropwhile(lambda entry, start=start: entry[0] < start, opened[key][1])

@@ -37,7 +37,8 @@ def check_root(root: Path) -> None:
     Raises:
         ValueError: naming the part of the path.
     """
-    if found := [part for part in UNOPENABLE if part in str(root.absolute())]:
+    found = [part for part in UNOPENABLE if part in str(root.absolute())]
+    if found:
         raise ValueError(
             f"LeRobot cannot open a dataset in {root.absolute()}: it reads {found[0]!r} as part "
             f"of a pattern; choose a "

@@ -151,7 +151,8 @@ class PrivilegedTables:
         """Look for the tables below ``root``, a dataset whose episodes have ``lengths`` [frames],
         (E,).
         """
-        self._root, self._lengths = root, lengths
+        self._root = root
+        self._lengths = lengths
 
     def files(self) -> tuple[list[Path], list[Path]]:
         """Return the files of the table of frames and of the table of episodes, in order."""

@@ -38,27 +38,28 @@ does (seen: 0.016 together)."""
 PALM_SATURATED_SHARE = 0.9
 """Share of the control phase that the palm may be commanded to an end of a slide (seen: 0.66).
 Fingers may be commanded to their end in all but the frames of the approach (seen: 0.94)."""
-FROZEN_FRAMES, FROZEN_GAP_M = 2, 0.005
-"""How long no degree of freedom may change to the last bit while the command is that far away from
-the palm (seen: 0 frames)."""
+FROZEN_FRAMES = 2
+"""Frames in which no degree of freedom may change to the last bit (seen: 0) ..."""
+FROZEN_GAP_M = 0.005
+"""... while the command is so far away from the palm."""
 
 
 def trajectory_problems(episode: Episode) -> list[str]:
     """Return a sentence for each rule that the episode breaks; only the first if it holds NaN or
     infinity.
     """
-    if problem := not_finite(episode):
+    problem = not_finite(episode)
+    if problem:
         return [problem]
     rules = (out_of_limits, jumps, teleports, saturation, frozen, phase_order)
-    return [problem for rule in rules if (problem := rule(episode))]
+    return list(filter(None, (rule(episode) for rule in rules)))
 
 
 def not_finite(episode: Episode) -> str | None:
     """Find NaN and infinity."""
     for name, feature in FEATURES.items():
-        if (value := getattr(episode, name)) is not None and not np.isfinite(
-            np.asarray(value, float)
-        ).all():
+        value = getattr(episode, name)
+        if value is not None and not np.isfinite(np.asarray(value, float)).all():
             return f"{feature.key} is not finite"
     return None
 
@@ -71,7 +72,8 @@ def out_of_limits(episode: Episode) -> str | None:
         if name == "action" and episode.meta.control_mode != JOINTS:  # a displacement, no place
             continue
         values = getattr(episode, name)
-        palm, joints = values[:, :PALM_DOF], values[:, PALM_DOF:]
+        palm = values[:, :PALM_DOF]
+        joints = values[:, PALM_DOF:]
         beyond = np.maximum(low - palm, palm - high)  # (T, 3), positive outside
         frame, axis = np.unravel_index(int(beyond.argmax()), beyond.shape)
         if beyond[frame, axis] > PALM_SLACK_M:
@@ -102,7 +104,8 @@ def jumps(episode: Episode) -> str | None:
         values = getattr(episode, name)
         for part, allowed, unit in groups:
             steps = np.abs(np.diff(values[:, part], axis=0)).max(axis=1, initial=0.0)  # (T - 1,)
-            if steps.size and (worst := float(steps.max())) > allowed:
+            worst = float(steps.max(initial=0.0))
+            if worst > allowed:
                 frame = int(steps.argmax()) + 1
                 return (
                     f"{name} jumps by {worst:.2f} {unit} at frame {frame}; {allowed:.2f} "
@@ -145,7 +148,8 @@ def saturation(episode: Episode) -> str | None:
 
 def frozen(episode: Episode) -> str | None:
     """Find a measured state that stays the same to the last bit while it is commanded elsewhere."""
-    state, command = episode.state, episode.executed_action
+    state = episode.state
+    command = episode.executed_action
     still = (state[1:] == state[:-1]).all(axis=1)  # (T - 1,)
     away = (
         np.abs(command[:-1, :PALM_DOF] - state[:-1, :PALM_DOF]).max(axis=1, initial=0.0)

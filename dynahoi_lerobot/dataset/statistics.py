@@ -18,7 +18,8 @@ NAMES = ("min", "max", "mean", "std", "count", *SHARES)
 """LeRobot's statistics, in its order."""
 
 LEVELS = np.arange(256) / 255
-LARGE_IMAGE, SMALL_IMAGE = 300, 150
+LARGE_IMAGE = 300
+SMALL_IMAGE = 150
 """LeRobot thins images of LARGE_IMAGE pixels or more to about SMALL_IMAGE before it counts."""
 EXACT_FRAMES = 100
 """OpenCV counts in single precision, exactly up to 2 ** 24; so many thinned images have fewer

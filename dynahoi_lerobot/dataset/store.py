@@ -15,6 +15,7 @@ from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import (
     IMAGE_PREFIX,
 )
+from dynahoi_lerobot.core.lerobot_internals import video_backend_unspoken
 from dynahoi_lerobot.core.reading import (
     ReadError,
     fits,
@@ -59,9 +60,6 @@ PLACE = (
     "data/file_index",
 )
 """Columns of the episode table that say where an episode lies."""
-CELLS = 10**7
-"""Most values of the episode table, without arrays, that are held in memory: ten million frames
-have fewer."""
 
 
 def open_dataset(root: Path, **options: Any) -> LeRobotDataset:
@@ -77,14 +75,15 @@ def open_dataset(root: Path, **options: Any) -> LeRobotDataset:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     check_root(root)
-    (store := Store(root)).check_files()
-    with reading(root):
+    store = Store(root)
+    store.check_files()
+    with reading(root), video_backend_unspoken():
         dataset = LeRobotDataset(f"local/{root.name}", root=root, **options)
     lengths = [row["length"] for row in store.rows]
     chosen = range(len(lengths)) if dataset.episodes is None else dataset.episodes
-    if (found := dataset.hf_dataset.num_rows) != (
-        wanted := sum(lengths[index] for index in chosen)
-    ):
+    found = dataset.hf_dataset.num_rows
+    wanted = sum(lengths[index] for index in chosen)
+    if found != wanted:
         raise ValueError(
             f"LeRobot reads {found} rows of {root}; its episodes have {wanted}; see `dynahoi "
             f"verify`"
@@ -201,7 +200,8 @@ class Store:
         schema than the one that is read here.
         """
         check_schema(self.root)
-        info = read_object(path := self.root / INFO_PATH, {"features": dict[str, dict[str, Any]]})
+        path = self.root / INFO_PATH
+        info = read_object(path, {"features": dict[str, dict[str, Any]]})
         for key, entry in info["features"].items():
             if "/" in key or not fits(
                 [entry.get("dtype"), entry.get("shape")], list[str | list[int]]
@@ -224,7 +224,8 @@ class Store:
         for memory.
         """
         for name, usual in (("data_path", DATA_PATH), ("video_path", VIDEO_PATH)):
-            if (told := self.info.get(name)) not in (usual, None):
+            told = self.info.get(name)
+            if told not in (usual, None):
                 raise ReadError(
                     f"{self.root / INFO_PATH} says {name} is {told!r}; it must be {usual!r}"
                 )
@@ -234,7 +235,8 @@ class Store:
             regular(path)
         for path in self.root.glob("videos/*/*/*"):
             regular(path)
-        if (told := sum(row["length"] for row in self.rows)) != self.frame_count:
+        told = sum(row["length"] for row in self.rows)
+        if told != self.frame_count:
             raise ReadError(
                 f"{self.root} has {self.frame_count} frames, and episodes of {told}; see "
                 f"`dynahoi verify`"
@@ -281,46 +283,49 @@ class Store:
             ValueError: if a file of it is damaged, or there is none.
         """
         rows: list[EpisodeRow] = []
-        wanted, cells = row_schema(self.features), 0
+        first = 0
         for path in self.row_files():
-            file = open_table(path)
-            held = {field.name: field.type for field in file.schema_arrow}
-            if "tasks" not in held:  # LeRobot's convert_image_to_video leaves it out
-                raise ReadError(f"{path} has no column 'tasks'")
-            for name, kind in held.items():
-                if name in wanted.names and not fits_column(kind, told := wanted.field(name).type):
-                    raise ReadError(f"{path} has a column {name} of type {kind}; it must be {told}")
-            names = [name for name in held if not name.startswith(STATS_PREFIX)]
-            names = [
-                name for name in names if name in wanted.names or not pa.types.is_nested(held[name])
-            ]
-            if (cells := cells + file.metadata.num_rows * len(names)) > CELLS:
-                raise ReadError(f"{path} holds {cells} values or more; at most {CELLS} are read")
-            for row in read_rows(path, names):
-                places = [
-                    name for name in row if name.startswith("videos/") and name.endswith("_index")
-                ]
-                if wrong := [
-                    name
-                    for name in (*PLACE, *places)
-                    if not fits(row.get(name), int) or row[name] < 0
-                ]:
-                    raise ReadError(
-                        f"{path} says {wrong[0]} of an episode is {row.get(wrong[0])!r}"
-                    )
-                first = rows[-1]["dataset_to_index"] if rows else 0
-                place = (len(rows), row["length"], first, first + row["length"])
-                if (
-                    not row["length"]
-                    or place[3] > self.frame_count
-                    or place != tuple(row[name] for name in PLACE[:4])
-                ):
-                    told = ", ".join(f"{name} {row[name]}" for name in PLACE[:4])
-                    raise ReadError(
-                        f"{path} places episode {len(rows)} at {told}, of {self.frame_count} frames"
-                    )
+            for row in read_rows(path, self._row_columns(path)):
+                self._check_place(path, row, len(rows), first)
+                first = row["dataset_to_index"]
                 rows.append(row)
         return rows
+
+    def _row_columns(self, path: Path) -> list[str]:
+        """Return the columns of a file of the episode table, without statistics.
+
+        Raises:
+            ReadError: if the file has no tasks, or a column of another type.
+        """
+        wanted = row_schema(self.features)
+        with open_table(path) as file:
+            held = {field.name: field.type for field in file.schema_arrow}
+        if "tasks" not in held:  # LeRobot's convert_image_to_video leaves it out
+            raise ReadError(f"{path} has no column 'tasks'")
+        for name, kind in held.items():
+            if name in wanted.names and not fits_column(kind, wanted.field(name).type):
+                told = wanted.field(name).type
+                raise ReadError(f"{path} has a column {name} of type {kind}; it must be {told}")
+        return [
+            name
+            for name, kind in held.items()
+            if not name.startswith(STATS_PREFIX)
+            and (name in wanted.names or not pa.types.is_nested(kind))
+        ]
+
+    def _check_place(self, path: Path, row: EpisodeRow, index: int, first: int) -> None:
+        """Refuse a row that does not place episode ``index`` from frame ``first`` on."""
+        videos = [name for name in row if name.startswith("videos/") and name.endswith("_index")]
+        for name in (*PLACE, *videos):
+            if type(row.get(name)) is not int or row[name] < 0:
+                raise ReadError(f"{path} says {name} of an episode is {row.get(name)!r}")
+        stop = first + row["length"]
+        found = (row["episode_index"], row["dataset_from_index"], row["dataset_to_index"])
+        if row["length"] == 0 or stop > self.frame_count or found != (index, first, stop):
+            told = ", ".join(f"{name} {row[name]}" for name in PLACE[:4])
+            raise ReadError(
+                f"{path} places episode {index} at {told}, of {self.frame_count} frames"
+            )
 
     @property
     def episodes(self) -> int:
@@ -344,7 +349,8 @@ class Store:
         return self._files("data", "frame table")
 
     def _files(self, folder: str, table: str) -> list[Path]:
-        if not (paths := sorted((self.root / folder).glob("*/*.parquet"))):
+        paths = sorted((self.root / folder).glob("*/*.parquet"))
+        if not paths:
             raise ValueError(f"{self.root} holds no {table}: there is no file in {folder}")
         return paths
 
@@ -411,7 +417,8 @@ class Store:
         """Return rows of the frame table that must be the frames of an episode, all of them and in
         order.
         """
-        with reading(path := self.data_path(row)):
+        path = self.data_path(row)
+        with reading(path):
             wanted = np.arange(row["dataset_from_index"], row["dataset_to_index"])
             if not np.array_equal(column_array(table, "index")[:, 0], wanted):
                 raise ReadError(
@@ -423,7 +430,8 @@ class Store:
     def images(self, row: EpisodeRow, table: pa.Table, key: str) -> np.ndarray:
         """Return the episode's images of a view, (T, H, W, 3) uint8 RGB."""
         is_video = key in self.video_keys
-        with reading(path := self.video_path(row, key) if is_video else self.data_path(row)):
+        path = self.video_path(row, key) if is_video else self.data_path(row)
+        with reading(path):
             if is_video:
                 start = round(row[f"videos/{key}/from_timestamp"] * self.fps)
                 shown = decode(path, start, start + row["length"])
@@ -445,7 +453,8 @@ class Store:
         if not 0 <= index < self.episodes:
             raise IndexError(f"episode {index} does not exist; {self.root} holds {self.episodes}")
         for path in self.row_files():
-            if (found := self.table(path, episode=index)).num_rows:
+            found = self.table(path, episode=index)
+            if found.num_rows:
                 return found.to_pylist()[0]
         raise IndexError(f"{self.root} holds no row of episode {index}")
 
@@ -477,10 +486,15 @@ class Store:
         """
         if not self.rows:  # which are checked
             return
-        path, table, used = Path(), pa.table({}), 0
+        path = None
+        table = pa.table({})
+        used = 0
         for row, privileged in zip(self.full_rows(), self.privileged.episodes(), strict=True):
-            if (holder := self.data_path(row)) != path:
-                path, table, used = holder, self.table(holder), 0
+            holder = self.data_path(row)
+            if holder != path:
+                path = holder
+                table = self.table(holder)
+                used = 0
             own = self._own(row, table.slice(used, row["length"]).combine_chunks())
             yield StoredEpisode(row, own, privileged)
             used += row["length"]

@@ -46,7 +46,9 @@ PRESETS = (
     "veryslow",
     "placebo",
 )
-MAX_GOP, MAX_CRF, MAX_PIXELS = 10_000, 51, 4096**2
+MAX_GOP = 10_000
+MAX_CRF = 51
+MAX_PIXELS = 4096**2
 FRAME = Fraction(1, CONTROL_HZ)
 """Duration of a frame [s], the unit of time in video files."""
 READ_S = 1e-4
@@ -117,7 +119,8 @@ class Encoding:
         encoder.width = encoder.height = image_size
         encoder.pix_fmt = "yuv420p"
         encoder.thread_count = 1
-        encoder.time_base, encoder.framerate = FRAME, 1 / FRAME
+        encoder.time_base = FRAME
+        encoder.framerate = 1 / FRAME
         encoder.options = {
             "crf": str(self.crf),
             "preset": self.preset,
@@ -137,7 +140,8 @@ def encode(images: np.ndarray, encoding: Encoding) -> list[Packet]:
     packets: list[Packet] = []
     for number, image in enumerate(images):
         frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
-        frame.pts, frame.time_base = number, FRAME
+        frame.pts = number
+        frame.time_base = FRAME
         packets += encoder.encode(frame)
     return packets + encoder.encode(None)
 
@@ -151,7 +155,9 @@ class VideoFile:
         """Open ``path``; ``add_stream`` gives the file its stream, see ``encoded_stream`` and
         ``copied_stream``.
         """
-        self.path, self.frames, self.size_bytes = path, 0, 0
+        self.path = path
+        self.frames = 0
+        self.size_bytes = 0
         self._container = av.open(
             str(path), "w", options={"fflags": "+bitexact", "write_btrt": "0"}
         )
@@ -164,7 +170,8 @@ class VideoFile:
             for packet in packets:
                 packet.stream = self._stream
                 packet.pts = packet.dts = self.frames
-                packet.duration, packet.time_base = 1, FRAME
+                packet.duration = 1
+                packet.time_base = FRAME
                 self.frames += 1
                 self.size_bytes += packet.size
                 self._container.mux(packet)
@@ -177,7 +184,8 @@ class VideoFile:
         """
         with self._writing():
             self._container.close()
-        if (stored := sum(1 for _ in stored_packets(self.path))) != self.frames:
+        stored = sum(1 for _ in stored_packets(self.path))
+        if stored != self.frames:
             raise OSError(
                 errno.EIO, f"only {stored} of {self.frames} frames reached the disk", str(self.path)
             )
@@ -230,7 +238,8 @@ def stream_problem(path: Path) -> str | None:
         stream = container.streams.video[0]
         if len(container.streams) > 1:
             return f"has {len(container.streams)} streams, not one"
-        if (rate := stream.average_rate) is None or abs(rate - CONTROL_HZ) > READ_S * CONTROL_HZ:
+        rate = stream.average_rate
+        if rate is None or abs(rate - CONTROL_HZ) > READ_S * CONTROL_HZ:
             return f"has {rate} frames/s, not {CONTROL_HZ}"
         times = sorted(
             cast(int, packet.pts) * packet.time_base
@@ -253,7 +262,8 @@ def decode(path: Path, start: int = 0, stop: int | None = None) -> Iterator[np.n
             raise ValueError(
                 f"its frames have {stream.width} x {stream.height} pixels, more than {MAX_PIXELS}"
             )
-        rate, time_base = cast(Fraction, stream.average_rate), cast(Fraction, stream.time_base)
+        rate = cast(Fraction, stream.average_rate)
+        time_base = cast(Fraction, stream.time_base)
         if start:
             container.seek(int(start / rate / time_base), stream=stream)
         for frame in container.decode(stream):

@@ -61,7 +61,8 @@ def write_episodes(
     if root.exists():
         raise FileExistsError(f"{root} exists; choose a new folder for the dataset")
     remaining = iter(episodes)
-    if (first := next(remaining, None)) is None:
+    first = next(remaining, None)
+    if first is None:
         raise ValueError("got no episodes; a dataset needs at least one")
     columns = frame_table.dataset_features(first)
     with new_folder(root) as folder, DatasetWriter(folder, columns, encoding) as writer:
@@ -78,8 +79,11 @@ class _Tables:
     """
 
     def __init__(self, root: Path, template: str, schema: pa.Schema, limits: FileLimits) -> None:
-        self.schema, self.number = schema, -1
-        self._root, self._template, self._limits = root, template, limits
+        self.schema = schema
+        self.number = -1
+        self._root = root
+        self._template = template
+        self._limits = limits
         self._writer: pq.ParquetWriter | None = None
         self._size_bytes = 0
 
@@ -87,7 +91,8 @@ class _Tables:
         """Make room for ``table``; return the (chunk, file) index that it goes to."""
         if self._writer is None or self._size_bytes + table.nbytes >= self._limits.data_mb * MIB:
             self.close()
-            self.number, self._size_bytes = self.number + 1, 0
+            self.number += 1
+            self._size_bytes = 0
             path = self._limits.path(self._root, self._template, self.number)
             self._writer = pq.ParquetWriter(
                 path, self.schema, compression="snappy", use_dictionary=True
@@ -146,11 +151,13 @@ class DatasetWriter:
             max((column.shape[0] for column in columns if column.is_image), default=0)
         )
         root.mkdir()
-        self.root, self.limits = root, limits or FileLimits()
+        self.root = root
+        self.limits = limits or FileLimits()
         self.features = features or frame_table.info_features(
             columns, self._encoding, subtasks=subtasks
         )
-        self.episodes = self.frames = 0
+        self.episodes = 0
+        self.frames = 0
         self._schema = frame_table.arrow_schema(self.features)
         self._data = _Tables(root, paths.DATA_PATH, self._schema, self.limits)
         row_schema = episode_table.row_schema(self.features)
@@ -365,7 +372,8 @@ class DatasetWriter:
         from all frames.
         """
         stats = {key: pooled(found) for key, found in self._image_stats.items()}
-        store, at_once = Store(self.root), max(1, VALUES_AT_ONCE // self.frames)
+        store = Store(self.root)
+        at_once = max(1, VALUES_AT_ONCE // self.frames)
         for keys in batched(frame_table.numeric_keys(self.features), at_once):
             for key, values in store.frame_columns(keys).items():
                 numbers = values.astype(np.float32) if values.dtype == bool else values

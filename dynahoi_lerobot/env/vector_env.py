@@ -19,6 +19,7 @@ from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.core.conventions import CONTROL_HZ, EGO_VIEW, FINGER_DOF, PALM_DOF, SEED_LIMIT
 from dynahoi_lerobot.core.episode import Episode, closure, potential
 from dynahoi_lerobot.core.features import Feature, as_gym
+from dynahoi_lerobot.core.lerobot_internals import ONE_EPISODE_OPTION
 from dynahoi_lerobot.core.nested import changed, field_names
 from dynahoi_lerobot.core.protocols import is_acting
 from dynahoi_lerobot.core.registry import known
@@ -32,8 +33,6 @@ from dynahoi_lerobot.sampling.splits import kind_seed
 from dynahoi_lerobot.world.batch import WorldBatch
 
 DEFAULT_RECIPE = Recipe(split="test")
-ONE_EPISODE_OPTION = "lerobot_new_rollout"
-"""Reset option: play one episode in every world, then wait for the next reset."""
 RENDER_MODES = ("rgb_array",)
 RANDOM_SEED_LIMIT = 2**31
 """Seeds that the environment draws itself are below this."""
@@ -175,7 +174,6 @@ class DynahoiVectorEnv(VectorEnv):
         self._threads, self._on_episode, self._inference = threads, on_episode, inference
         self._specs = SpecsAhead(self.recipe, threads=threads, keep=episodes is not None)
         self._step_limit = max_episode_steps
-        self._specs = SpecsAhead(self.recipe, threads=threads, keep=episodes is not None)
         self._batch = WorldBatch(rules, num_envs, threads)
         self._session = Session(self._batch, record_images=False)
         self.single_observation_space = observation_space(rules.features)

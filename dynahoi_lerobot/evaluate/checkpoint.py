@@ -23,6 +23,7 @@ import numpy as np
 from dynahoi_lerobot.core.conventions import DETECTOR_IMAGE_SIZE_PX, EGO_VIEW
 from dynahoi_lerobot.core.escaping import shortened
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, EYE, IMAGE_PREFIX
+from dynahoi_lerobot.core.lerobot_internals import RENAMING_STEP
 from dynahoi_lerobot.core.reading import (
     ReadError,
     inside,
@@ -45,8 +46,6 @@ PIPELINES = ("policy_preprocessor.json", "policy_postprocessor.json")
 ADAPTER = "adapter_config.json"
 ADAPTER_WEIGHTS = "adapter_model.safetensors"
 """What a folder holds in place of ``WEIGHTS`` if a LoRA adapter was trained (``--peft.*``)."""
-RENAMING = "rename_observations_processor"
-"""The processor step that applies LeRobot's ``--rename_map``."""
 BASE = "base/"
 """Names of the files of weights of an adapter's base begin so."""
 
@@ -107,9 +106,12 @@ ADAPTER_KEYS = frozenset(
 """Keys of a LoRA adapter's config that say how layers change. Others name modules that PEFT would
 import (``megatron_core``) or files that it would read."""
 MOST = 10**4
-"""Largest whole number in the config of a policy, and longest list, ..."""
+"""Largest whole number in the config of a policy, ..."""
 TIMES = 100
 """... unless the default of its class is large: a number may be so many times that."""
+MOST_NESTED = 500_000
+"""Largest whole number below a key of the config, and longest list: vocabularies of language models
+have up to 262,144 entries."""
 FLOATS = ("F64", "F32", "F16", "BF16")
 """Types of numbers in a file of weights that stand for each other."""
 OTHERS = {"int64": "I64", "int32": "I32", "uint8": "U8", "bool": "BOOL"}
@@ -315,7 +317,7 @@ def renamed(folder: Path) -> dict[str, str]:
         maps = [
             (step.get("config") or {}).get("rename_map") or {}
             for step in steps
-            if step.get("registry_name") == RENAMING
+            if step.get("registry_name") == RENAMING_STEP
         ]
         names = {old: new for one in maps for old, new in one.items()}
         require({"rename_map": names}, {"rename_map": dict[str, str]})
@@ -558,6 +560,8 @@ def _check_sizes(file: Path, told: Mapping[str, Any], usual: Mapping[str, Any]) 
     for name, value in told.items():
         default = usual.get(name)
         most = max(MOST, TIMES * default) if type(default) is int else MOST
+        if isinstance(value, list | dict):
+            most = MOST_NESTED
         for count in _counts(value):
             if count > most:
                 raise PolicyError(f"{file} says {name} is {count}; it must be {most} or less")
@@ -642,7 +646,7 @@ def _check_statistics(file: Path, pipeline: Any, config: Any) -> None:
     """Refuse a pipeline that normalizes a feature without its statistics, or not as the config of
     its policy says.
     """
-    normalised: dict[str, str] = {}
+    normalized: dict[str, str] = {}
     known = (config.input_features or {}) | (config.output_features or {})
     for step in (step for step in pipeline.steps if hasattr(step, "norm_map")):
         for key, feature in getattr(step, "features", {}).items():
@@ -654,24 +658,24 @@ def _check_statistics(file: Path, pipeline: Any, config: Any) -> None:
             chosen = getattr(step, "normalize_observation_keys", None)
             if mode == "IDENTITY" or (chosen is not None and key not in (*chosen, "action")):
                 continue
-            normalised[key] = mode
+            normalized[key] = mode
             for name in STATISTICS[mode]:
                 values = step.stats.get(key, {}).get(name)
                 if values is None:
                     raise PolicyError(
-                        f"{file} normalises {key}, and its statistics lack the {name} of that"
+                        f"{file} normalizes {key}, and its statistics lack the {name} of that"
                     )
                 if not (_broadcasts(values, feature.shape) and np.isfinite(values).all()):
                     raise PolicyError(
-                        f"{file} normalises {key} by a {name} that is not finite, or not of its "
+                        f"{file} normalizes {key} by a {name} that is not finite, or not of its "
                         f"shape"
                     )
     needed = config.output_features if "post" in file.name else config.input_features
     for key, feature in needed.items():
         mode = getattr(config.normalization_mapping.get(feature.type.value), "value", "IDENTITY")
-        if mode != normalised.get(key, "IDENTITY"):
+        if mode != normalized.get(key, "IDENTITY"):
             raise PolicyError(
-                f"{file} normalises {key} by {normalised.get(key)}, and {CONFIG} says {mode}"
+                f"{file} normalizes {key} by {normalized.get(key)}, and {CONFIG} says {mode}"
             )
 
 

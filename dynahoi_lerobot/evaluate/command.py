@@ -17,7 +17,7 @@ from dynahoi_lerobot.core.progress import progress_bar
 from dynahoi_lerobot.core.protocols import PROTOCOLS
 from dynahoi_lerobot.core.reading import ReadError
 from dynahoi_lerobot.evaluate import replay_results
-from dynahoi_lerobot.evaluate.arguments import AS_TRAINED, TRUST, VLM, make_actor, playing_rules
+from dynahoi_lerobot.evaluate.actors import AS_TRAINED, TRUST, VLM, make_actor, playing_rules
 from dynahoi_lerobot.evaluate.results import Results, RunInfo, kept_results, read_results
 from dynahoi_lerobot.evaluate.table import kind_table, results_table
 from dynahoi_lerobot.experts import EXPERTS
@@ -53,13 +53,11 @@ class Options:
         None,
         "re-execute the commands of a result folder and compare all numbers",
         metavar="RESULTS",
-        either=True,
     )
     policy: str = option(
         "",
         f"checkpoint folder, Hub repository, vlm, or a privileged baseline: expert, "
         f"{', '.join(EXPERTS.names())}",
-        either=True,
     )
     split: str = option(SMALL_TEST, "test, test_small, val, twins or one of the ood_ splits")
     out: Path | None = option(None, "result folder; an incomplete one is resumed")
@@ -120,6 +118,8 @@ class Options:
 
 def run(options: Options) -> int:
     """Evaluate, write the results and print them; return the exit code."""
+    if bool(options.replay) == bool(options.policy):
+        raise ValueError("give --policy NAME or --replay RESULTS, and not both")
     if options.replay_seed is not None and not options.replay:
         raise ValueError(f"--replay-seed {options.replay_seed} is for --replay RESULTS")
     if options.replay:

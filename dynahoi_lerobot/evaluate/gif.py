@@ -25,7 +25,7 @@ BORDER_PX = 3
 CAPTION_PX = 16
 STRIP, INK = (30, 30, 34), (235, 235, 235)
 FONT, FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.38
-COLOURS, PALETTE_PAGES = 128, 8
+COLORS, PALETTE_PAGES = 128, 8
 """Colors of a GIF, and how many of its pages they are chosen from."""
 EPISODE_PX = 192
 """Least width of an episode's frames."""
@@ -151,7 +151,7 @@ def _quantized(pages: Sequence[np.ndarray]) -> list[Image.Image]:
     ]
     octree = Image.Quantize.FASTOCTREE  # median cut would drop the color of a small target
     learned = (
-        Image.fromarray(np.vstack(few)).quantize(COLOURS - len(BORDERS), octree).getpalette() or []
+        Image.fromarray(np.vstack(few)).quantize(COLORS - len(BORDERS), octree).getpalette() or []
     )
     palette = Image.new("P", (1, 1))
     palette.putpalette([*np.ravel(list(BORDERS.values())).tolist(), *learned])

@@ -20,6 +20,12 @@ from dynahoi_lerobot.core.features import (
     TRUTH,
     as_gym,
 )
+from dynahoi_lerobot.core.lerobot_internals import (
+    accepts_guidance,
+    as_policies_take,
+    prepare_guidance,
+    queued_frame,
+)
 from dynahoi_lerobot.evaluate import checkpoint
 from dynahoi_lerobot.evaluate.checkpoint import PolicyError
 
@@ -75,6 +81,7 @@ class PolicyAgent(Agent):
         self.trained_for = checkpoint.trained_for(folder)
         self._chunk: Any = None
         self._frame = 0
+        self._worlds: np.ndarray | None = None  # that the policy plays; None for all
         self._guided = False
         taken = signature(self._policy.predict_action_chunk).parameters
         self._expects_delays = "inference_delay" in taken
@@ -98,26 +105,42 @@ class PolicyAgent(Agent):
         self._policy.reset()
         self._chunk = None
         self._frame = 0
+        self._worlds = None
         if self.thoughts is not None:
             self.thoughts.clear()
 
+    def leave(self, worlds: np.ndarray) -> None:
+        """Let a policy that can play on with some of its worlds alone do so."""
+        if not hasattr(self._policy, "keep_rows") or self.thoughts is not None:
+            return
+        before = np.arange(self._count) if self._worlds is None else self._worlds
+        self._worlds = np.setdiff1d(before, worlds)
+        self._policy.keep_rows(np.searchsorted(before, self._worlds))
+
     @_in_a_sentence
     def act(self, observation: Observation) -> np.ndarray:
-        """Return (N, 18) float commands: palm position [m], home frame, and joint angles [rad]."""
+        """Return (N, 18) float commands: palm position [m], home frame, and joint angles [rad];
+        zeros where an episode has ended.
+        """
         import torch
 
+        self._count = len(observation.tasks)
+        played = observation if self._worlds is None else observation.of(self._worlds)
         with torch.inference_mode():
-            action = self._policy.select_action(self._batch(observation))
+            action = self._policy.select_action(self._batch(played))
         if self.thoughts is not None:
             self.thoughts.append(getattr(self._policy, "decision", None))
-        return self._commands(action)
+        commands = self._commands(action)
+        if self._worlds is None:
+            return commands
+        all_commands = np.zeros((self._count, *commands.shape[1:]), commands.dtype)
+        all_commands[self._worlds] = commands
+        return all_commands
 
     @property
     def accepts_guidance(self) -> bool:
         """Whether the policy offers LeRobot's real-time chunking."""
-        from lerobot.rollout.inference.rtc import supports_rtc_inference
-
-        return supports_rtc_inference(self._policy)
+        return accepts_guidance(self._policy)
 
     @_in_a_sentence
     def observe(self, observation: Observation) -> None:
@@ -150,7 +173,9 @@ class PolicyAgent(Agent):
         if delays is not None and (executed is not None or self._expects_delays):
             guidance["inference_delay"] = int(delays[0])
         if executed is not None:
-            self._prepare_guidance()
+            if not self._guided:
+                prepare_guidance(self._policy)
+            self._guided = True
             # the normalized actions that are not executed yet; of a chunk that is over, where it
             # led
             past = min(int(executed[0]), self._chunk.shape[1] - 1)
@@ -167,22 +192,9 @@ class PolicyAgent(Agent):
             actions = self._commands(self._chunk)[worlds]
         return actions, np.full(len(worlds), time.perf_counter() - start)
 
-    def _prepare_guidance(self) -> None:
-        """Set real-time chunking up once, as ``lerobot-rollout`` does, with LeRobot's defaults if
-        the checkpoint has none.
-        """
-        from lerobot.policies.rtc import RTCConfig
-
-        if self._guided:
-            return
-        self._guided = True
-        self._policy.config.rtc_config = self._policy.config.rtc_config or RTCConfig()
-        if hasattr(self._policy, "init_rtc_processor"):
-            self._policy.init_rtc_processor()
-
-    def _commands(self, normalised: Any) -> np.ndarray:
+    def _commands(self, normalized: Any) -> np.ndarray:
         """What the policy's actions, as it predicts them, stand for."""
-        commands: np.ndarray = self._after(normalised).to("cpu").numpy()
+        commands: np.ndarray = self._after(normalized).to("cpu").numpy()
         if not np.isfinite(commands).all():
             raise PolicyError(f"{self.name} gives commands that are not finite numbers")
         return commands
@@ -190,7 +202,6 @@ class PolicyAgent(Agent):
     def _batch(self, observation: Observation) -> dict[str, Any]:
         """What the policy takes, as ``lerobot-eval`` prepares it."""
         import torch
-        from lerobot.envs.utils import preprocess_observation
 
         shown = {
             "": True,
@@ -203,7 +214,7 @@ class PolicyAgent(Agent):
                 f"--environment-state {self.environment_state}` and environments with "
                 f"environment_state={self.environment_state!r} show"
             )
-        batch: dict[str, Any] = preprocess_observation(as_gym(observation))
+        batch = as_policies_take(as_gym(observation))
         batch["task"] = list(observation.tasks)
         batch = self._before(batch)
         batch["timestamp"] = torch.full(
@@ -227,25 +238,3 @@ def note_frame(policy: Any, batch: dict[str, Any]) -> None:
         policy.observe(batch)
     else:
         queued_frame(policy, batch)
-
-
-def queued_frame(policy: Any, batch: dict[str, Any]) -> dict[str, Any]:
-    """Add a frame to the observation queues of a policy that has them (Diffusion Policy, VQ-BeT,
-    multi-task DiT).
-
-    Returns:
-        The batch as ``predict_action_chunk`` of such a policy takes it: its images are stacked
-        under one key.
-    """
-    import torch
-    from lerobot.policies.utils import populate_queues
-    from lerobot.utils.constants import ACTION, OBS_IMAGES
-
-    queues = getattr(policy, "_queues", None) or {}
-    if OBS_IMAGES in queues:
-        images = [batch[key] for key in policy.config.image_features]
-        batch = batch | {OBS_IMAGES: torch.stack(images, dim=-4)}
-    if queues:  # a policy looks into the queue of every key of the batch; the actions' may be empty
-        batch = {key: value for key, value in batch.items() if key != ACTION}
-    populate_queues(queues, batch)
-    return batch

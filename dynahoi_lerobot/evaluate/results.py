@@ -77,8 +77,6 @@ CONDITIONS = (*COMPARED, "inference")
 
 LARGEST = SEED_LIMIT
 """No number in a row or a command is larger."""
-MOST_EPISODES = 10**4
-"""Episodes of an evaluation; the intervals of more would take minutes."""
 
 REMEDY = "run `dynahoi evaluate` with this folder as --out"
 WEIGHTS = "weights"
@@ -403,9 +401,6 @@ def _read_rows(path: Path) -> list[Row]:
 
     with reading(path):
         file = open_table(path)
-        count = file.metadata.num_rows
-        if count > MOST_EPISODES:
-            raise ValueError(f"it has {count} episodes; an evaluation has at most {MOST_EPISODES}")
         held = {field.name: field for field in file.schema_arrow}
         columns = COLUMNS | dict.fromkeys(measured([held]), METRIC_TYPE)
         for column in pa.schema(columns):
@@ -421,10 +416,9 @@ def _read_rows(path: Path) -> list[Row]:
             )
         rows = [{name: row[name] for name in columns} for row in read_rows(path, columns)]
         for row in rows:
-            if wrong := [
-                name for name, kind in columns.items() if not _possible(name, kind, row[name])
-            ]:
-                raise ValueError(f"it says {wrong[0]} of an episode is {row[wrong[0]]!r:.80}")
+            for name, kind in columns.items():
+                if not _possible(name, kind, row[name]):
+                    raise ValueError(f"it says {name} of an episode is {row[name]!r:.80}")
         return rows
 
 

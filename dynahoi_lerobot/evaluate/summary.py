@@ -26,10 +26,10 @@ def wilson(successes: int, count: int) -> tuple[float, float]:
     JASA 1927).
     """
     rate, spread = successes / count, Z_95**2 / count
-    centre = (rate + spread / 2) / (1 + spread)
+    center = (rate + spread / 2) / (1 + spread)
     half = math.sqrt(rate * (1 - rate) * spread + spread**2 / 4) / (1 + spread)
     # at the ends the interval touches 0 or 1 exactly; rounding must not push it past the rate
-    return max(0.0, min(centre - half, rate)), min(1.0, max(centre + half, rate))
+    return max(0.0, min(center - half, rate)), min(1.0, max(center + half, rate))
 
 
 def bootstrap_means(values: np.ndarray, resamples: int = RESAMPLES, seed: int = SEED) -> np.ndarray:

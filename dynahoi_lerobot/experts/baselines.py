@@ -144,7 +144,16 @@ def _acceleration(world: WorldView) -> np.ndarray:
 
 @functools.cache
 def fixed_path(control_class: str) -> np.ndarray:
-    """Return (K, 3) palm positions relative to home [m] after 1, 2, ... control steps."""
+    """Return (K, 3) palm positions relative to home [m] after 1, 2, ... control steps.
+
+    Raises:
+        ValueError: for a control class without a stored path.
+    """
+    if control_class not in PATH_FILES:
+        known = ", ".join(PATH_FILES)
+        raise ValueError(
+            f"blind_path has no stored path for control class {control_class!r}, only for {known}"
+        )
     return np.loadtxt(Path(__file__).with_name(PATH_FILES[control_class]), delimiter=",", ndmin=2)
 
 

@@ -22,7 +22,7 @@ from dynahoi_lerobot.evaluate.checkpoint import (
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.sampling.fingerprint import hash_packages
 
-POLICY_SOURCE = "evaluate/policy_agent.py"
+POLICY_SOURCES = ("evaluate/policy_agent.py", "core/lerobot_internals.py")
 """Source between a policy and the worlds; no expert passes there."""
 PARTS = (CONFIG, ADAPTER, "policy_*.json", "*.safetensors")
 """Files of a checkpoint from which a policy and its processors are loaded, besides the weights of
@@ -101,7 +101,8 @@ def runtime(policy: PolicyAgent) -> str:
     import torch
 
     sources = hashlib.sha256(hash_packages({policy.package} - {"lerobot"}))
-    sources.update((Path(dynahoi_lerobot.__file__).parent / POLICY_SOURCE).read_bytes())
+    for source in POLICY_SOURCES:
+        sources.update((Path(dynahoi_lerobot.__file__).parent / source).read_bytes())
     capability = torch.backends.cpu.get_cpu_capability()
     return (
         f"torch {torch.__version__}, lerobot {lerobot.__version__}, {capability}, "

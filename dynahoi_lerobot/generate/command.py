@@ -18,7 +18,7 @@ from dynahoi_lerobot.core.reading import reading
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import MANIFEST_PATH, FileLimits, check_root
 from dynahoi_lerobot.dataset.video import Encoding
-from dynahoi_lerobot.evaluate.arguments import TRUST, playing_rules
+from dynahoi_lerobot.evaluate.actors import TRUST, playing_rules
 from dynahoi_lerobot.generate.actor import actor_name, make_actor, open_policy, runtime
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationPlan, Record, shard_size

@@ -23,8 +23,9 @@ class Metric:
     Attributes:
         name: the name in every table, the paper's where it has one.
         compute: the function of one episode; its docstring gives the formula and the source.
-        unit: ``fraction`` of shares and rates in [0, 1], which tables print in per cent; ``u``, the
-            paper's 0.1 m; ``m/s``; or ``score``, a number without a unit.
+        unit: any text that tables print, such as ``m/s``; of these, ``fraction`` is for shares and
+            rates in [0, 1], which tables print in per cent, ``u`` is the paper's 0.1 m, and
+            ``score`` is a number without a unit.
         direction: which way is better.
         aggregation: ``rate`` of values 0 or 1, with Wilson's interval; or ``mean`` of real values,
             with a bootstrap interval.
@@ -84,14 +85,19 @@ def metric(
     unit: str,
     direction: Direction,
     aggregation: Aggregation,
-    bounds: tuple[float, float] = (0.0, 1.0),
+    bounds: tuple[float, float] | None = None,
     condition: str = "",
 ) -> Callable[[Compute], Metric]:
     """Return a decorator that turns a function of an episode into the registered metric ``name``.
 
     Args:
-        name, unit, direction, aggregation, bounds, condition: as ``Metric`` has them.
+        name, unit, direction, aggregation, condition: as ``Metric`` has them.
+        bounds: least and greatest possible value, in ``unit``; by default 0 and 1 of a rate or a
+            ``fraction``, and any finite value otherwise.
     """
+    if bounds is None:
+        is_share = aggregation == "rate" or unit == "fraction"
+        bounds = (0.0, 1.0) if is_share else (-math.inf, math.inf)
 
     def decorate(compute: Compute) -> Metric:
         return METRICS.register(name)(

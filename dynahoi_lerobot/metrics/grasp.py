@@ -13,7 +13,7 @@ from dynahoi_lerobot.metrics.base import Compute, metric
 BY_CONTACT = "contact"
 """The capture rule that judges a grasp by what touches the target, not by joint angles."""
 BY_POSE = f"capture rules other than {BY_CONTACT}"
-LOCALISED_BY_POSE = f"localised episodes, {BY_POSE}"
+LOCALIZED_BY_POSE = f"localized episodes, {BY_POSE}"
 
 
 def judged_by_pose(episode: Episode) -> bool:
@@ -37,7 +37,7 @@ def grasps_within(episode: Episode, frames: int) -> bool | None:
 
 
 @metric(
-    "S_gra", unit="fraction", direction="higher", aggregation="rate", condition=LOCALISED_BY_POSE
+    "S_gra", unit="fraction", direction="higher", aggregation="rate", condition=LOCALIZED_BY_POSE
 )
 def s_gra(episode: Episode) -> bool | None:
     """Grasp success, given localization: all 15 joints match the reference grasp at the first
@@ -62,7 +62,7 @@ WINDOW_S = 0.5
     unit="fraction",
     direction="higher",
     aggregation="rate",
-    condition=LOCALISED_BY_POSE,
+    condition=LOCALIZED_BY_POSE,
 )
 def s_gra_window(episode: Episode) -> bool | None:
     """Grasp success within 0.5 s, given localization: the test of S_gra on the first localized
@@ -82,7 +82,7 @@ def s_gra_window(episode: Episode) -> bool | None:
     unit="fraction",
     direction="higher",
     aggregation="rate",
-    condition=LOCALISED_BY_POSE,
+    condition=LOCALIZED_BY_POSE,
 )
 def s_gra_two_sided(episode: Episode) -> bool | None:
     """Grasp success, given localization, with joints neither too open nor too closed.

@@ -85,7 +85,7 @@ def e_loc(episode: Episode) -> float:
     direction="lower",
     aggregation="mean",
     bounds=(0.0, float("inf")),
-    condition="localised episodes",
+    condition="localized episodes",
 )
 def relative_speed(episode: Episode) -> float | None:
     """Relative speed of palm and target at localization.
@@ -103,7 +103,7 @@ def relative_speed(episode: Episode) -> float | None:
     return float(np.linalg.norm(episode.target_velocity_w[first - 1, :3] - palm_velocity))
 
 
-@metric("R_time", unit="score", direction="higher", aggregation="mean")
+@metric("R_time", unit="score", direction="higher", aggregation="mean", bounds=(0.0, 1.0))
 def r_time(episode: Episode) -> float:
     """Time score, counted from control start; 0 if the target is never localized.
 
@@ -126,7 +126,7 @@ def time_score(episode: Episode, start_frame: int) -> float:
     return float(np.clip(1 - (first - start_frame) / episode.meta.length_frames, 0.0, 1.0))
 
 
-@metric("R_time_total", unit="score", direction="higher", aggregation="mean")
+@metric("R_time_total", unit="score", direction="higher", aggregation="mean", bounds=(0.0, 1.0))
 def r_time_total(episode: Episode) -> float:
     """Time score, counted from the first frame, so that observing costs time too; 0 if the target
     is never localized.

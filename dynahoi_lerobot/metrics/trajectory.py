@@ -64,7 +64,7 @@ def linearity(steps: np.ndarray, displacement: np.ndarray) -> float:
     return float(np.clip(cosines.mean(), -1.0, 1.0))
 
 
-@metric("Q_smooth", unit="score", direction="higher", aggregation="mean")
+@metric("Q_smooth", unit="score", direction="higher", aggregation="mean", bounds=(0.0, 1.0))
 def q_smooth(episode: Episode) -> float:
     """Temporal smoothness of the palm's path from control start to the first localized frame.
 
@@ -116,7 +116,7 @@ def q_line_18d(episode: Episode) -> float:
     return linearity(*command_steps(episode))
 
 
-@metric("Q_smooth_18d", unit="score", direction="higher", aggregation="mean")
+@metric("Q_smooth_18d", unit="score", direction="higher", aggregation="mean", bounds=(0.0, 1.0))
 def q_smooth_18d(episode: Episode) -> float:
     """Legacy smoothness: Q_smooth on the 18-D commands (palm in u, joints in rad), steps up to 1e-4
     dropped.

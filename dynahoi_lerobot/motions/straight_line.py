@@ -35,8 +35,8 @@ class StraightMotion(PrescribedMotion):
     def position(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) position [m]."""
         tau = time_s - self.meeting_s
-        travelled = self.speed_m_s * tau + self.acceleration_m_s2 * tau**2 / 2
-        return np.asarray(self.meeting) + travelled[:, None] * np.asarray(self.direction)
+        traveled = self.speed_m_s * tau + self.acceleration_m_s2 * tau**2 / 2
+        return np.asarray(self.meeting) + traveled[:, None] * np.asarray(self.direction)
 
     @classmethod
     def between(cls, draw: Draw, speeds: tuple[float, float]) -> Self:

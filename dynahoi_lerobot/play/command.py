@@ -14,7 +14,7 @@ from dynahoi_lerobot.core.features import privileged_features
 from dynahoi_lerobot.core.files import new_folder
 from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.dataset.writer import DatasetWriter
-from dynahoi_lerobot.evaluate.arguments import (
+from dynahoi_lerobot.evaluate.actors import (
     AS_TRAINED,
     EXPERT_ALIAS,
     TRUST,

@@ -14,7 +14,7 @@ from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.evaluate.rows import Row, identity
 from dynahoi_lerobot.sampling.salt import refuse_mixed_streams, refuse_to_mix
 
-COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c6bb1", "#999999")
+COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c6bb1", "#999999")
 """Okabe and Ito's color-blind safe palette without black and yellow, legible on light and dark."""
 SHAPES: tuple[tuple[str, str, Any, str], ...] = (
     ("o", "●", "solid", ""),
@@ -39,7 +39,7 @@ class Mark:
     RGB.
     """
 
-    colour: str
+    color: str
     marker: str
     letter: str
     dashes: Any
@@ -48,8 +48,8 @@ class Mark:
     @classmethod
     def of(cls, place: int) -> "Mark":
         """Return the mark of the evaluation in this place, another one for each of the first 48."""
-        shape = SHAPES[place // len(COLOURS) % len(SHAPES)]
-        return cls(COLOURS[place % len(COLOURS)], *shape)
+        shape = SHAPES[place // len(COLORS) % len(SHAPES)]
+        return cls(COLORS[place % len(COLORS)], *shape)
 
 
 @dataclass(frozen=True, eq=False)

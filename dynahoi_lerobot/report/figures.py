@@ -19,7 +19,7 @@ from dynahoi_lerobot.evaluate.rows import STRATA, Row
 from dynahoi_lerobot.evaluate.summary import Estimate
 from dynahoi_lerobot.evaluate.table import columns_for, heading
 from dynahoi_lerobot.metrics.grasp import FINGERS_AT_LEAST
-from dynahoi_lerobot.report.entries import COLOURS, Entry, Mark, clip, distinct_episodes, short_name
+from dynahoi_lerobot.report.entries import COLORS, Entry, Mark, clip, distinct_episodes, short_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -165,12 +165,12 @@ def legend(drawing: Figure, entries: Sequence[Entry], *, bars: bool = False) -> 
 
 def line_style(mark: Mark) -> dict[str, Any]:
     """Return how matplotlib draws a line with points that has a mark."""
-    return {"color": mark.colour, "linestyle": mark.dashes, "marker": mark.marker}
+    return {"color": mark.color, "linestyle": mark.dashes, "marker": mark.marker}
 
 
 def bar_style(mark: Mark) -> dict[str, Any]:
     """Return how matplotlib draws a bar that has a mark."""
-    return {"facecolor": mark.colour, "hatch": mark.hatch, "edgecolor": INK, "linewidth": 0}
+    return {"facecolor": mark.color, "hatch": mark.hatch, "edgecolor": INK, "linewidth": 0}
 
 
 def error_bars(estimates: Sequence[Estimate | None]) -> tuple[np.ndarray, np.ndarray]:
@@ -357,7 +357,7 @@ def time_to_catch(entries: Sequence[Entry]) -> Figure:
         times, shares = [0, *sorted(waits), longest], [*share, share[-1]]
         style = line_style(entry.mark) | {"markevery": 0.1, "ms": 4}
         panel.step(times, shares, where="post", **style)
-    panel.set(xlabel="time since the control start [s]", ylabel="localised [%]", ylim=(0, 100))
+    panel.set(xlabel="time since the control start [s]", ylabel="localized [%]", ylim=(0, 100))
     legend(drawing, entries)
     return drawing
 
@@ -462,9 +462,9 @@ def _share_bars(panel: Axes, rows: Sequence[Row], stratum: str, paper: dict[str,
     counts = Counter(row[stratum] for row in rows)
     labels = [label for label in STRATA[stratum].order if counts[label] or label in paper]
     panel.bar(
-        labels, [100 * counts[label] / len(rows) for label in labels], color=COLOURS[0], width=0.7
+        labels, [100 * counts[label] / len(rows) for label in labels], color=COLORS[0], width=0.7
     )
-    panel.plot(list(paper), list(paper.values()), "D", color=COLOURS[5], ms=5, label="paper")
+    panel.plot(list(paper), list(paper.values()), "D", color=COLORS[5], ms=5, label="paper")
     panel.grid(visible=False, axis="x")
     panel.legend()
 
@@ -493,7 +493,7 @@ def overlay(panel: Axes, samples: Sequence[np.ndarray], entries: Sequence[Entry]
     edges = np.linspace(-reach, reach, HISTOGRAM_BINS + 1)
     for sample, entry in zip(samples, entries, strict=True):
         share = 100 * np.histogram(sample, edges)[0] / max(1, sample.size)
-        panel.stairs(share, edges, color=entry.mark.colour, linestyle=entry.mark.dashes, lw=1.2)
+        panel.stairs(share, edges, color=entry.mark.color, linestyle=entry.mark.dashes, lw=1.2)
     panel.set_yscale("log")
     panel.yaxis.set_major_formatter("{x:g}")
     panel.minorticks_off()

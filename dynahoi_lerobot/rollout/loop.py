@@ -50,6 +50,11 @@ class Session:
         """(n,) sorted worlds that play."""
         return np.array(sorted(self._recorders), int)
 
+    @property
+    def idle(self) -> np.ndarray:
+        """(m,) sorted worlds that do not."""
+        return np.array([i for i in range(self.batch.size) if i not in self._recorders], int)
+
     def begin(self, ids: Sequence[int] | np.ndarray, jobs: Sequence[Job]) -> None:
         """Begin a job in each of the sorted worlds ``ids``; what was played there is dropped."""
         self.batch.reset(ids, [job.spec for job in jobs], [job.attempt for job in jobs])
@@ -130,7 +135,7 @@ class Session:
         If a failed episode is played ``again``, its images need not be rendered.
         """
         recorder = self._recorders.pop(i)
-        episode = recorder.freeze(self.batch, actor, meeting)
+        episode = recorder.freeze(self.batch, i, actor, meeting)
         if not self._render_later or (again and not episode.success):
             return episode
         return replace(episode, images=self.batch.images_of(i, recorder.visual_states))
@@ -171,7 +176,10 @@ def play(
         observation = session.observe(images=(images or actor.sees_images) and not later)
         commands = actor.commands(observation, session.world_state)
         terminated, truncated = session.step(commands, actor.labels, actor.control_mode)
-        for i in np.flatnonzero(terminated | truncated):
+        ended = np.flatnonzero(terminated | truncated)
+        if ended.size and actor.has_memory:  # others begin again
+            actor.leave(ended)
+        for i in ended:
             job = session.job(int(i))
             meeting = actor.first_meeting(job.spec, batch.control)
             may_retry = retry and job.attempt <= actor.retries
@@ -269,7 +277,7 @@ def _begin(session: Session, actor: Actor, again: deque[Job], fresh: Iterator[Jo
     """Give every idle world a job, as long as there are any: first those to be played ``again``,
     then fresh ones.
     """
-    idle = np.setdiff1d(np.arange(session.batch.size), session.playing)
+    idle = session.idle
     jobs = [again.popleft() for _ in idle[: len(again)]]
     jobs += islice(fresh, len(idle) - len(jobs))
     if jobs:

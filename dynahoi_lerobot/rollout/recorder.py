@@ -2,6 +2,7 @@
 ends.
 """
 
+import functools
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Self
@@ -57,6 +58,8 @@ class Job:
 TOUCH_M = 0.005
 """A fingertip this close touches the target: the sphere-overlap test of Appendix "Data
 collection"."""
+TIP_FRAMES = "tip_frames"
+"""Column from which the fingertips' poses and distances are computed once an episode has ended."""
 CONTACTS = ("finger_force_n", "palm_force_n", "others")
 """Fields of ``TargetContacts``, which the capture rule judges; an episode keeps the fingers' forces
 as ``touch``."""
@@ -67,30 +70,31 @@ JUDGED = ("state", "localized", "palm_distance_m", *CONTACTS)
 def measure_frame(
     batch: WorldBatch, observation: Observation, ids: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Return the arrays of worlds ``ids`` (n,) at this frame besides images, (n, ...) each,
-    by name in ``Episode``.
+    """Return the arrays of worlds ``ids`` (n,) at this frame besides images, (n, ...) each, by name
+    in ``Episode``, or for what `WorldRecorder` computes from them.
     """
-    features = frame_features(0, contact_sensors=batch.rule.uses_contact_sensors)
     columns = {
-        feature.name: getattr(observation, feature.name)[ids]
-        for feature in features
-        if feature.observed
+        name: getattr(observation, name)[ids]
+        for name in _observed(contact_sensors=batch.rule.uses_contact_sensors)
     }
     if observation.sighting is not None:
         columns["sighting"] = observation.sighting[ids]
-    contacts, tips_m = batch.contacts, batch.tip_distance(ids)
-    pressed = contacts.finger_force_n[ids] > 0
     return columns | {
-        "fingertips": batch.fingertips(ids),
+        TIP_FRAMES: batch.tip_frames(ids),
         "target_pose_h": batch.target_pose_h[ids],
         "target_velocity_w": batch.target_velocity_w[ids],
-        "target_contacts": pressed if batch.rule.uses_contact_sensors else tips_m <= TOUCH_M,
         "palm_distance_m": batch.palm_distance_m[ids],
-        "fingertip_distance_m": np.maximum(tips_m.min(axis=1), 0.0),
         "localized": batch.localized[ids],
         "visual_state": batch.visual_state[ids],
-        **{name: getattr(contacts, name)[ids] for name in CONTACTS},
+        **{name: getattr(batch.contacts, name)[ids] for name in CONTACTS},
     }
+
+
+@functools.cache
+def _observed(*, contact_sensors: bool) -> tuple[str, ...]:
+    """The columns that a policy may see, but for images, by name in ``Observation``."""
+    features = frame_features(0, contact_sensors=contact_sensors)
+    return tuple(feature.name for feature in features if feature.observed)
 
 
 @dataclass
@@ -138,11 +142,12 @@ class WorldRecorder:
             self.succeeded = rule.success(self._track(self._columns(JUDGED)))
         return self.succeeded
 
-    def freeze(self, batch: WorldBatch, actor: str, meeting: Meeting | None) -> Episode:
-        """Return the recording as an Episode of ``actor``, which planned ``meeting`` at control
-        start.
+    def freeze(self, batch: WorldBatch, i: int, actor: str, meeting: Meeting | None) -> Episode:
+        """Return the recording of world ``i`` as an Episode of ``actor``, which planned ``meeting``
+        at control start.
         """
         spec, rule, columns = self.job.spec, batch.rule, self._columns()
+        columns |= _tip_columns(batch, i, columns)
         track = self._track(columns)
         columns |= episode_constants(batch, spec, meeting)
         columns |= {
@@ -187,6 +192,21 @@ class WorldRecorder:
             palm_distance_m=columns["palm_distance_m"][control],
             palm_pos_h=columns["state"][control, :PALM_DOF],
         )
+
+
+def _tip_columns(
+    batch: WorldBatch, i: int, columns: dict[str, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """Return what follows from where the fingertips were in the T frames of world ``i``, (T, ...)
+    each.
+    """
+    tips_m = batch.tip_distance(i, columns[TIP_FRAMES])
+    pressed = columns["finger_force_n"] > 0
+    return {
+        "fingertips": batch.fingertips(i, columns[TIP_FRAMES]),
+        "target_contacts": pressed if batch.rule.uses_contact_sensors else tips_m <= TOUCH_M,
+        "fingertip_distance_m": np.maximum(tips_m.min(axis=1), 0.0),
+    }
 
 
 def next_frames(flags: np.ndarray) -> np.ndarray:

@@ -137,6 +137,11 @@ class Labelled(Actor):
         if self._agent is not None:
             self._agent.reset(count)
 
+    def leave(self, worlds: np.ndarray) -> None:
+        """Let the agent know of episodes that have ended."""
+        if self._agent is not None:
+            self._agent.leave(worlds)
+
     def first_meeting(self, spec: EpisodeSpec, control: ControlClass) -> Meeting | None:
         """Return the meeting that the teacher plans if it moves the hand."""
         return self._teacher.first_meeting(spec, control) if self._agent is None else None

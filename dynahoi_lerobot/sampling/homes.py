@@ -49,7 +49,7 @@ drawn."""
 
 
 def find_homes(
-    paths_w: Sequence[np.ndarray], timing: Timing, fixtures: Sequence[Box], rng: np.random.Generator
+    paths_w: Sequence[np.ndarray], timing: Timing, rng: np.random.Generator
 ) -> np.ndarray:
     """Return those homes for the palm center, of some that are tried, that fit the motion until the
     intercept.
@@ -64,8 +64,6 @@ def find_homes(
         paths_w: (F, 3) path of the untouched target at every frame [m], world, at least to the
             intercept, which is the same in all of them: of the episode and of its twins.
         timing: frames and travel of the episode.
-        fixtures: the boxes around the motion, which the waiting hand must not touch, nor the palm
-            on its way.
         rng: source of the directions tried.
 
     Returns:
@@ -79,7 +77,7 @@ def find_homes(
         homes = homes[~_reachable_earlier(path_w[start:intercept], homes)]
         homes = homes[_clear_of(path_w[start : intercept + 1], homes)]
         homes = homes[_watches(path_w[: start + 1], homes)]
-    return homes[keeps_clear(homes, meeting, fixtures)]
+    return homes
 
 
 def tried_homes(meeting_w: np.ndarray, travel_m: float, rng: np.random.Generator) -> np.ndarray:
@@ -91,15 +89,18 @@ def tried_homes(meeting_w: np.ndarray, travel_m: float, rng: np.random.Generator
 
 
 def choose_home(
-    paths_w: Sequence[np.ndarray], timing: Timing, homes: np.ndarray
+    paths_w: Sequence[np.ndarray], timing: Timing, fixtures: Sequence[Box], homes: np.ndarray
 ) -> np.ndarray | None:
     """Return the first of ``homes`` (K, 3), from ``find_homes``, that the target never reaches by
-    itself, or None.
+    itself and that is clear of ``fixtures``, or None.
 
-    ``paths_w`` are as there, (F, 3) [m], world, but over the whole episode.
+    ``paths_w`` are as there, (F, 3) [m], world, but over the whole episode. ``fixtures`` are the
+    boxes around the motion, which the waiting hand must not touch, nor the palm on its way.
     """
     clear = np.all([_clear_of(path_w[timing.window_frames :], homes) for path_w in paths_w], axis=0)
-    return homes[clear.argmax()] if clear.any() else None
+    meeting = paths_w[0][timing.intercept_frame]
+    fitting = (home for home in homes[clear] if keeps_clear(home[None], meeting, fixtures).all())
+    return next(fitting, None)
 
 
 def _draw_directions(rng: np.random.Generator) -> np.ndarray:

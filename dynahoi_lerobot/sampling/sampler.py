@@ -76,12 +76,13 @@ def search(
     Arguments and errors are those of ``sample_specs``.
     """
     pending = {i: Candidate(recipe, seed) for i, seed in enumerate(seeds)}
+    ahead = _TargetsAhead(recipe, threads)
     found: dict[int, tuple[Candidate, EpisodeSpec]] = {}
     for attempt in range(MAX_ATTEMPTS):
         if attempt % ATTEMPTS_PER_TIMING == 0:
             for candidate in pending.values():
                 candidate.draw_timing()
-        specs = _attempt(recipe, pending, threads)
+        specs = _attempt(ahead, pending)
         found |= {i: (pending.pop(i), spec) for i, spec in specs.items()}
         if not pending:
             return [found[i] for i in range(len(seeds))]
@@ -259,7 +260,8 @@ def resume(
     for candidate, (_, entry) in zip(candidates, known, strict=True):
         candidate.timing = begin_at(entry, candidate.rng)
         candidate.draw_motion()
-    ahead = _TargetsAhead(recipe, dict(enumerate(candidates)), threads)
+    ahead = _TargetsAhead(recipe, threads)
+    ahead.place(dict(enumerate(candidates)))
     paths_w = ahead.paths({i: c.timing.path_frames for i, c in enumerate(candidates)})
     return [
         (
@@ -275,38 +277,41 @@ def resume(
     ]
 
 
-def _attempt(recipe: Recipe, pending: dict[int, Candidate], threads: int) -> dict[int, EpisodeSpec]:
+def _attempt(ahead: _TargetsAhead, pending: dict[int, Candidate]) -> dict[int, EpisodeSpec]:
     """Draw a motion for every pending candidate, roll all targets ahead together; return the
     episodes that fit.
     """
     drawn = {i: candidate for i, candidate in pending.items() if candidate.draw_motion()}
-    ahead = _TargetsAhead(recipe, drawn, threads)
+    ahead.place(drawn)
     near = ahead.paths({i: c.timing.intercept_frame + 1 for i, c in drawn.items()})
-    homes = {i: find_homes(near[i], c.timing, c.fixtures, c.rng) for i, c in drawn.items()}
+    homes = {i: find_homes(near[i], c.timing, c.rng) for i, c in drawn.items()}
     reached = {i: candidate for i, candidate in drawn.items() if len(homes[i])}
     whole = ahead.paths({i: candidate.timing.path_frames for i, candidate in reached.items()})
     return {
         i: spec
-        for i, candidate in reached.items()
+        for i, c in reached.items()
         if all(map(in_arena, whole[i]))
-        and (home := choose_home(whole[i], candidate.timing, homes[i])) is not None
-        and (spec := candidate.accept(whole[i], home)) is not None
+        and (home := choose_home(whole[i], c.timing, c.fixtures, homes[i])) is not None
+        and (spec := c.accept(whole[i], home)) is not None
     }
 
 
 class _TargetsAhead:
     """The undisturbed targets of candidates, all rolled ahead together."""
 
-    def __init__(self, recipe: Recipe, candidates: Mapping[int, Candidate], threads: int) -> None:
-        """Put the targets of the motions last drawn, by candidate, where they start."""
+    def __init__(self, recipe: Recipe, threads: int) -> None:
+        """Roll no target yet."""
+        self._ahead = RollAhead(hand=recipe.rules.hand_name, threads=threads)
+        self._rows: dict[int, list[int]] = {}
+
+    def place(self, candidates: Mapping[int, Candidate]) -> None:
+        """Put the targets of the motions last drawn, of some candidates, where they start."""
         rows = iter(range(sum(len(candidate.motions) for candidate in candidates.values())))
         self._rows = {i: list(islice(rows, len(c.motions))) for i, c in candidates.items()}
-        self._ahead = RollAhead(
+        self._ahead.place(
             [motion for c in candidates.values() for motion in c.motions],
             [c.target for c in candidates.values() for _ in c.motions],
             [c.timing.path_frames for c in candidates.values() for _ in c.motions],
-            hand=recipe.rules.hand_name,
-            threads=threads,
         )
 
     def paths(self, frames: Mapping[int, int]) -> dict[int, list[np.ndarray]]:

@@ -19,7 +19,7 @@ APPLIED_FORCES = mujoco.mjtState.mjSTATE_QFRC_APPLIED
 
 
 class RollAhead:
-    """N untouched targets, whose paths are known as far as they have been asked for.
+    """Untouched targets, whose paths are known as far as they have been asked for.
 
     Prescribed targets follow their closed form, which the simulated drive reproduces; physical ones
     are simulated in the scene they will be played in, with the hand parked. A target at which
@@ -27,41 +27,44 @@ class RollAhead:
     would drift apart by centimeters.
     """
 
-    def __init__(
-        self,
-        motions: Sequence[Motion],
-        targets: Sequence[TargetObject],
-        frames: Sequence[int],
-        *,
-        hand: str = "capsule",
-        threads: int = 1,
+    def __init__(self, *, hand: str = "capsule", threads: int = 1) -> None:
+        """Roll no target yet.
+
+        Args:
+            hand: the embodiment of the scene.
+            threads: for the simulation; the result does not depend on it.
+        """
+        self._scene, self._threads = compile_scene(hand), threads
+        self._motions: Sequence[Motion] = ()
+        self._rows: dict[int, int] = {}
+        self._batch: Batch | None = None
+
+    def place(
+        self, motions: Sequence[Motion], targets: Sequence[TargetObject], frames: Sequence[int]
     ) -> None:
-        """Put N targets where they start.
+        """Put N targets where they start, and forget those before.
 
         Args:
             motions, targets: N worlds.
             frames: how many frames of each may be asked for, at most.
-            hand: the embodiment of the scene.
-            threads: for the simulation; the result does not depend on it.
         """
         self._motions = motions
         physical = [i for i, motion in enumerate(motions) if isinstance(motion, PhysicalMotion)]
         self._rows = {i: row for row, i in enumerate(physical)}
         if not physical:
             return
-        self._scene = scene = compile_scene(hand)
-        self._batch = Batch(scene.model, nsim=len(physical), nthread=threads)
-        fields, rows = WorldFields(self._batch, scene), np.arange(len(physical))
+        batch, fields = self._room(len(physical))
+        scene, rows = self._scene, np.arange(len(physical))
         fields.reset(rows)
         self._force_w = [
             fields.write_world(row, motions[i], targets[i], frames[i] - 1, ENVIRONMENT)
             for i, row in self._rows.items()
         ]
         parked = np.concatenate([PARKED_PALM_W, scene.hand.open_joints()])
-        fields.qpos[:, scene.hand_qpos] = self._batch.bind("ctrl")[:] = parked
+        fields.qpos[:, scene.hand_qpos] = batch.bind("ctrl")[:] = parked
         fields.finish(rows)
         self._position = slice(scene.target_qpos, scene.target_qpos + 3)
-        self._paths_w = list(fields.qpos[:, None, self._position].copy())
+        self._paths_w = list(fields.qpos[rows, None, self._position].copy())
 
     def paths(self, frames: dict[int, int]) -> dict[int, np.ndarray]:
         """Return the paths of some targets over the wanted numbers of frames, which are simulated
@@ -93,8 +96,18 @@ class RollAhead:
                 control[k, :, dof : dof + 3] = self._force_w[row][first : first + frames].reshape(
                     -1, 3
                 )
+            assert self._batch is not None, "place targets first"
             record = self._batch.rollout(
                 control.shape[1], control, APPLIED_FORCES.value, record=("qpos",), ids=rows
             )
             for row, qpos in zip(rows, record["qpos"][:, SUBSTEPS - 1 :: SUBSTEPS], strict=True):
                 self._paths_w[row] = np.concatenate([self._paths_w[row], qpos[:, self._position]])
+
+    def _room(self, rows: int) -> tuple[Batch, WorldFields]:
+        """Return a batch of at least so many rows, which earlier targets may have used, and its
+        fields.
+        """
+        if self._batch is None or self._batch.nsim < rows:
+            self._batch = Batch(self._scene.model, nsim=rows, nthread=self._threads)
+            self._fields = WorldFields(self._batch, self._scene)
+        return self._batch, self._fields

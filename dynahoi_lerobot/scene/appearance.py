@@ -75,8 +75,8 @@ def texture_pixels(pattern: str, contrast: float) -> np.ndarray:
     ``contrast``.
     """
     across = (np.arange(TEXTURE_SIZE) + 0.5) / TEXTURE_SIZE
-    grey = 1.0 - contrast * (1.0 - PATTERNS[pattern](across[None], across[:, None]))
-    pixels = np.round(255 * grey)[..., None].astype(np.uint8)
+    gray = 1.0 - contrast * (1.0 - PATTERNS[pattern](across[None], across[:, None]))
+    pixels = np.round(255 * gray)[..., None].astype(np.uint8)
     return np.ascontiguousarray(np.broadcast_to(pixels, (TEXTURE_SIZE, TEXTURE_SIZE, 3)))
 
 

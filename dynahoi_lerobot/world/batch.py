@@ -64,6 +64,7 @@ class WorldBatch:
         self.rule, self.control = rules.capture_rule(), rules.control
         self.specs: list[EpisodeSpec | None] = [None] * size
         self.frame, self.attempt = np.zeros(size, int), np.ones(size, int)
+        self._windows = np.zeros(size, int)  # length of each observation window [frames]
         self._origin = np.zeros((size, HAND_DOF))  # homes [m], world, and zero for the joints
         self._batch = Batch(self.scene.model, nsim=size, nthread=threads)
         self._fields = WorldFields(self._batch, self.scene)
@@ -187,18 +188,23 @@ class WorldBatch:
         """(N, nq + ngeom) all that an image of a world depends on and an episode changes."""
         return self._fields.visual_state
 
-    def tip_distance(self, ids: np.ndarray | None = None) -> np.ndarray:
-        """Return (n, 5), signed distance of each fingertip to the target's surface [m], negative
-        inside, of worlds ``ids`` (n,) (default: all).
+    def tip_frames(self, ids: np.ndarray) -> np.ndarray:
+        """Return (n, 5 + S, 12) where fingertips and the target's solids are in worlds ``ids``
+        (n,): what ``tip_distance`` and ``fingertips`` compute from, see ``Fingertips.frames``.
         """
-        return self._fingertips.target_distance(np.arange(self.size) if ids is None else ids)
+        return self._fingertips.frames(ids)
 
-    def fingertips(self, ids: np.ndarray | None = None) -> np.ndarray:
-        """Return (n, 30), position [m], home frame, and rotation vector [rad] of each fingertip,
-        of worlds ``ids`` (n,) (default: all).
+    def tip_distance(self, i: int, tip_frames: np.ndarray) -> np.ndarray:
+        """Return (T, 5), signed distance of each fingertip to the surface of the target of world
+        ``i`` [m], negative inside, at (T, 5 + S, 12) ``tip_frames``.
         """
-        chosen = np.arange(self.size) if ids is None else ids
-        return self._fingertips.poses(chosen, self.home_pos_w[chosen])
+        return self._fingertips.target_distance(i, tip_frames)
+
+    def fingertips(self, i: int, tip_frames: np.ndarray) -> np.ndarray:
+        """Return (T, 30), position [m], home frame of world ``i``, and rotation vector [rad] of
+        each fingertip at (T, 5 + S, 12) ``tip_frames``.
+        """
+        return self._fingertips.poses(tip_frames, self.home_pos_w[i])
 
     def observe(self, *, images: bool = True, ids: np.ndarray | None = None) -> Observation:
         """Return what a policy may see.
@@ -274,9 +280,4 @@ class WorldBatch:
         self._origin[i, :PALM_DOF] = spec.home_pos_w
         self.commands.begin(i, rest, self._origin[i])
         self._fields.qpos[i, self.scene.hand_qpos] = rest + self._origin[i]
-        self.specs[i] = spec
-
-    @property
-    def _windows(self) -> np.ndarray:
-        """(N,) int, length of each world's observation window [frames]."""
-        return np.array([0 if spec is None else spec.window_frames for spec in self.specs])
+        self.specs[i], self._windows[i] = spec, spec.window_frames

@@ -235,39 +235,62 @@ class Stage:
 
 
 class Fingertips:
-    """Reads the five fingertips of N worlds from a batch whose kinematics are up to date."""
+    """The five fingertips of N worlds, from a batch whose kinematics are up to date.
+
+    ``frames`` copies what everything else is computed from, so that an episode's frames can be
+    computed together when it has ended.
+    """
 
     def __init__(self, scene: Scene, batch: Batch, fields: WorldFields) -> None:
         self._scene, self._fields = scene, fields
         self._geom_pos, self._geom_mat = batch.bind("geom_xpos"), batch.bind("geom_xmat")
         self._site_pos, self._site_mat = batch.bind("site_xpos"), batch.bind("site_xmat")
 
-    def poses(self, ids: np.ndarray, origin_w: np.ndarray) -> np.ndarray:
-        """Return (n, 30), position [m] and rotation vector [rad] of each fingertip.
+    def frames(self, ids: np.ndarray) -> np.ndarray:
+        """Return (n, 5 + S, 12) position [m] and rotation matrix, world, of each fingertip and of
+        each of the S ``target_geoms`` in worlds ``ids`` (n,).
+        """
+        tips, solids = self._scene.tip_sites, self._scene.target_geoms
+        frames = np.empty((len(ids), len(tips) + len(solids), 12))
+        rows = ids[:, None]
+        frames[:, : len(tips), :3] = self._site_pos[rows, tips]
+        frames[:, : len(tips), 3:] = self._site_mat[rows, tips]
+        frames[:, len(tips) :, :3] = self._geom_pos[rows, solids]
+        frames[:, len(tips) :, 3:] = self._geom_mat[rows, solids]
+        return frames
+
+    def poses(self, frames: np.ndarray, origin_w: np.ndarray) -> np.ndarray:
+        """Return (T, 30), position [m] and rotation vector [rad] of each fingertip.
 
         Args:
-            ids: (n,) worlds.
-            origin_w: (n, 3) from where positions are counted [m], world.
+            frames: (T, 5 + S, 12) of ``frames``.
+            origin_w: (3,) or (T, 3) from where positions are counted [m], world.
         """
-        tips = np.ix_(ids, self._scene.tip_sites)
-        position = self._site_pos[tips] - origin_w[:, None]  # (n, 5, 3)
-        rotation = self._site_mat[tips].reshape(*position.shape, 3)  # (n, 5, 3, 3)
-        poses = np.concatenate([position, matrix_to_rotvec(rotation)], axis=-1)  # (n, 5, 6)
-        return poses.reshape(len(ids), 6 * len(FINGERS))
+        tips = frames[:, : len(FINGERS)]
+        position = tips[..., :3] - np.atleast_2d(origin_w)[:, None]  # (T, 5, 3)
+        rotation = tips[..., 3:].reshape(*position.shape, 3)  # (T, 5, 3, 3)
+        poses = np.concatenate([position, matrix_to_rotvec(rotation)], axis=-1)  # (T, 5, 6)
+        return poses.reshape(len(frames), 6 * len(FINGERS))
 
-    def target_distance(self, ids: np.ndarray) -> np.ndarray:
-        """Return (n, 5), signed distance of each fingertip to the target's surface [m], negative
-        inside, of worlds ``ids`` (n,).
+    def target_distance(self, i: int, frames: np.ndarray) -> np.ndarray:
+        """Return (T, 5), signed distance of each fingertip to the target's surface [m], negative
+        inside.
+
+        Args:
+            i: the world, whose target it is.
+            frames: (T, 5 + S, 12) of ``frames``.
         """
-        tips = self._site_pos[np.ix_(ids, self._scene.tip_sites)]  # (n, 5, 3)
-        nearest = np.full((len(tips), len(FINGERS)), np.inf)
-        alpha, sizes = self._fields.fields["geom_rgba"][..., 3], self._fields.fields["geom_size"]
+        tips, solids = np.split(frames, [len(FINGERS)], axis=1)
+        nearest = np.full((len(frames), len(FINGERS)), np.inf)
+        alpha, sizes = (self._fields.fields[name][i] for name in ("geom_rgba", "geom_size"))
         for shape, slots in self._scene.slots.items():
-            rows, slot = np.nonzero(alpha[np.ix_(ids, slots)])  # (S,) each, of what the target uses
-            world, geom = ids[rows], np.asarray(slots)[slot]
-            offset = tips[rows] - self._geom_pos[world, geom][:, None]  # (S, 5, 3)
-            rotation = self._geom_mat[world, geom].reshape(len(rows), 1, 3, 3)
-            local = (rotation * offset[..., None]).sum(axis=-2)  # transposed rotation times offset
-            size = np.broadcast_to(sizes[world, geom][:, None], local.shape)
-            np.minimum.at(nearest, rows, signed_distance(shape, local, size))
+            for geom in slots:
+                if alpha[geom, 3]:  # the target uses it
+                    solid = solids[:, np.searchsorted(self._scene.target_geoms, geom)]  # (T, 12)
+                    offset = tips[..., :3] - solid[:, None, :3]  # (T, 5, 3)
+                    rotation = solid[:, 3:].reshape(-1, 1, 3, 3)
+                    # transposed rotation times offset
+                    local = (rotation * offset[..., None]).sum(axis=-2)
+                    size = np.broadcast_to(sizes[geom], local.shape)
+                    np.minimum(nearest, signed_distance(shape, local, size), out=nearest)
         return nearest

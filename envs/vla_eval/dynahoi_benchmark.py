@@ -19,7 +19,8 @@ from vla_eval.specs import DimSpec
 from vla_eval.types import Action, EpisodeResult, Observation, Task
 
 from dynahoi_lerobot.core.conventions import HAND_DOF
-from dynahoi_lerobot.env.vector_env import ONE_EPISODE_OPTION, DynahoiVectorEnv
+from dynahoi_lerobot.core.lerobot_internals import ONE_EPISODE_OPTION
+from dynahoi_lerobot.env.vector_env import DynahoiVectorEnv
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.rollout.inference import SYNC, Inference, QueuedPolicy, StepwiseInference

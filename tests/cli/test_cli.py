@@ -5,6 +5,8 @@ import io
 import json
 import math
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -44,6 +46,15 @@ def test_list_prints_every_entry_with_a_description(
     for row in rows:
         for value in row.values():
             assert {word.strip(",:") for word in str(value).split()} <= words
+
+
+def test_a_reader_that_has_had_enough_gets_no_message() -> None:
+    command = [sys.executable, "-m", "dynahoi_lerobot.cli.main", "list", "features"]
+    listing = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    listing.stdout.close()
+    assert listing.stderr.read() == b""
+    listing.stderr.close()
+    assert listing.wait() == 141
 
 
 def test_a_wide_terminal_shows_a_list_as_a_table(monkeypatch, capsys):

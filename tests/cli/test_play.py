@@ -8,7 +8,7 @@ import pytest
 
 from dynahoi_lerobot.core.agent import Actor
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.evaluate.arguments import make_actor
+from dynahoi_lerobot.evaluate.actors import make_actor
 from dynahoi_lerobot.play.game import PRACTICE, SCORED, SHOWN, Game
 from dynahoi_lerobot.play.live_world import LiveWorld
 from dynahoi_lerobot.play.server import BAD_MESSAGE, BUSY, MAX_MESSAGE_BYTES, PlayServer

@@ -14,10 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-import torch
-from lerobot.configs import NormalizationMode, PolicyFeature
-from lerobot_policy_obact import ObActConfig
-from safetensors.torch import load_file, save_file
+from lerobot.configs import PolicyFeature
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.reading import (
@@ -37,10 +34,9 @@ from dynahoi_lerobot.dataset.store import Store, open_dataset
 from dynahoi_lerobot.dataset.video import Encoding
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import read_results
-from tests.checkpoints import saved, tiny_diffusion
 from tests.dataset.episodes import write
 from tests.synthetic import run_info, synthetic_episode, write_results
-from tests.tools import edit_json
+from tests.verify.test_forgeries import EGO, column
 
 
 @pytest.fixture(autouse=True)
@@ -78,18 +74,10 @@ OPENERS: dict[str, tuple[Callable[[Path], object], list[str]]] = {
             "meta/tasks.parquet",
             "meta/stats.json",
             "meta/episodes/chunk-000/file-000.parquet",
-        ]
-        + ["data/chunk-000/file-000.parquet"],
-    ),
-    "actor": (
-        play_nothing,
-        [
-            "config.json",
-            "model.safetensors",
-            "policy_preprocessor.json",
-            "policy_postprocessor.json",
+            "data/chunk-000/file-000.parquet",
         ],
     ),
+    "actor": (play_nothing, ["config.json", "model.safetensors", "policy_preprocessor.json"]),
 }
 """For each fixture that makes an artifact: what opens it, and its files."""
 PLACES = [
@@ -108,8 +96,6 @@ def replace_by(make: Callable[[Path], object]) -> Callable[[Path], None]:
 HOSTILE: dict[str, Callable[[Path], object]] = {
     "pipe": replace_by(os.mkfifo),
     "device": replace_by(lambda path: path.symlink_to("/dev/zero")),
-    "folder": replace_by(Path.mkdir),
-    "loop": replace_by(lambda path: path.symlink_to(path)),
     "cut": lambda path: os.truncate(path, path.stat().st_size // 2),
     "deep": lambda path: path.write_text("[" * 100_000 + "]" * 100_000),
 }
@@ -128,23 +114,14 @@ def test_no_place_takes_a_hostile_file(
         shutil.rmtree(whole)
 
 
-def test_an_image_is_what_its_cell_holds_and_as_large_as_the_dataset_says(
-    tmp_path: Path, capsys
-) -> None:
+def test_an_image_that_names_a_file_in_place_of_its_bytes_is_refused(tmp_path, capsys):
     root = write(tmp_path / "d", range(1), encoding=Encoding("images"))
-    rows = pq.read_table(path := root / "data/chunk-000/file-000.parquet")
+    path = root / "data/chunk-000/file-000.parquet"
     os.mkfifo(tmp_path / "pipe")
-    images = pa.array([{"bytes": None, "path": str(tmp_path / "pipe")}] * len(rows))
-    pq.write_table(
-        rows.set_column(
-            rows.schema.names.index("observation.images.ego"), "observation.images.ego", images
-        ),
-        path,
-    )
-    assert (
-        main(["view", "--dataset", str(root), "--episode", "0", "--out", str(tmp_path / "x.gif")])
-        == 2
-    )
+    named = {"bytes": None, "path": str(tmp_path / "pipe")}
+    column(path.relative_to(root), EGO, lambda images: [named] * len(images))(root)
+    words = ["view", "--dataset", str(root), "--episode", "0", "--out", str(tmp_path / "x.gif")]
+    assert main(words) == 2
     assert str(path) in capsys.readouterr().err
 
 
@@ -204,15 +181,11 @@ def test_yaml_makes_no_objects_and_holds_each_key_once(tmp_path: Path) -> None:
     [
         (3, float, True),
         (True, int, False),
-        (1.5, int, False),
         (None, int | None, True),
-        ({"x": [1]}, dict[str, list[int]], True),
         ({"x": [True]}, dict[str, list[int]], False),
-        (["x"], tuple[str, ...], True),
         ([1], tuple[int, int], False),
         ({"type": "STATE", "shape": [18]}, PolicyFeature, True),
         ({"type": "SMELL", "shape": [18]}, PolicyFeature, False),
-        ({"type": "STATE"}, PolicyFeature, False),
     ],
 )
 def test_a_value_has_the_type_that_is_declared(value: object, hint: Any, fitting: bool) -> None:
@@ -301,54 +274,3 @@ def test_names_in_files_stay_in_their_folder_or_the_hubs_cache(tmp_path: Path) -
         for name in ("stolen", "../x", "/etc/passwd", "../../blobs/b10b", "", ".", "a\0", None, 3):
             with pytest.raises(ReadError, match="not inside"):
                 inside(root, name)
-
-
-def test_other_weights_and_sizes_are_refused(actor: Path, tmp_path: Path) -> None:
-    weights = load_file(actor / "model.safetensors")
-    name = next(name for name, tensor in weights.items() if tensor.dim() == 2)
-    folder = shutil.copytree(actor, tmp_path / "mistyped")
-    save_file(weights | {name: weights[name].to(torch.int8)}, folder / "model.safetensors")
-    with pytest.raises(ReadError, match="mistyped"):
-        play_nothing(folder)
-    for number, change in enumerate(
-        ({"dim": 65536, "n_heads": 2}, {"width": 65536}, {"n_layers": 10**9})
-    ):
-        folder = shutil.copytree(actor, tmp_path / str(number))
-        edit_json(folder / "config.json", lambda config, change=change: config.update(change))
-        with pytest.raises(ReadError):
-            play_nothing(folder)
-    folder = tiny_diffusion(tmp_path / "diffusion")
-    for key, number in (
-        ("num_train_timesteps", 10**7),
-        ("horizon", 10**6),
-        ("crop_ratio", 10.0**8),
-    ):
-        whole = (folder / "config.json").read_text()
-        edit_json(
-            folder / "config.json",
-            lambda config, key=key, number=number: config.update({key: number}),
-        )
-        with pytest.raises(ReadError, match=key):
-            play_nothing(folder)
-        (folder / "config.json").write_text(whole)
-
-
-def test_statistics_that_do_not_fit_are_refused(actor: Path, tmp_path: Path) -> None:
-    config = ObActConfig.from_pretrained(actor)
-    config.normalization_mapping["STATE"] = NormalizationMode.MEAN_STD
-    with pytest.raises(ReadError, match=r"observation\.state"):
-        play_nothing(saved(config, tmp_path / "none"))
-    ones = {"std": torch.ones(18)}
-    play_nothing(
-        saved(config, tmp_path / "fitting", {"observation.state": ones | {"mean": torch.zeros(18)}})
-    )
-    for shape in ((18, 18), (17,)):
-        folder = saved(
-            config,
-            tmp_path / str(shape),
-            {"observation.state": ones | {"mean": torch.zeros(shape)}},
-        )
-        with pytest.raises(
-            ReadError, match=r"policy_preprocessor\.json normalises observation\.state"
-        ):
-            play_nothing(folder)

@@ -56,6 +56,7 @@ def test_a_plugin_is_listed_and_a_broken_one_is_named(tmp_path: Path) -> None:
         in listed.stderr
     )
     assert "the plugin 'greedy_motion' of broken" in listed.stderr
+    assert all(line.startswith("dynahoi list: ") for line in listed.stderr.splitlines())
     assert "the motion name 'lob' is taken" in listed.stderr
 
 

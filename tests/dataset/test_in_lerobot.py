@@ -2,8 +2,10 @@
 from.
 """
 
+import importlib
 import json
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -175,6 +177,39 @@ def test_opens_and_its_episode_columns_can_be_filtered_and_read(dataset):
     assert (chosen.episodes, chosen.num_frames) == ([4, 5], LENGTHS[4] + LENGTHS[5])
     assert chosen.meta.episodes[4]["object"] == "ball"
     check_images(chosen, 0, 4, 0)
+
+
+def test_opening_says_nothing_where_torchcodec_is_unusable(dataset, monkeypatch, caplog):
+    def load(name: str, package: str | None = None) -> ModuleType:
+        if name == "torchcodec":
+            raise RuntimeError("Could not load libtorchcodec")
+        return real(name, package)
+
+    real = importlib.import_module
+    monkeypatch.setattr(importlib, "import_module", load)
+    open_dataset(dataset)
+    assert not caplog.text
+    LeRobotDataset(REPO, root=dataset)
+    assert "libtorchcodec" in caplog.text, "others hear of it as before"
+
+
+def test_windows_over_time_stay_within_the_episode(dataset):
+    times = {"action": [0.0, 0.05, 0.1], "observation.images.ego": [-0.05, 0.0]}
+    opened = open_dataset(dataset, delta_timestamps=times)
+    start, last = LENGTHS[0], LENGTHS[0] + LENGTHS[1] - 1
+    episode = varied_episode(1)
+    for index, actions, images in (
+        (start, [0, 1, 2], [0, 0]),
+        (start + 3, [3, 4, 5], [2, 3]),
+        (last, [LENGTHS[1] - 1] * 3, [LENGTHS[1] - 2, LENGTHS[1] - 1]),
+    ):
+        item, frame = opened[index], index - start
+        np.testing.assert_array_equal(item["action"], episode.action[actions])
+        assert item["action_is_pad"].tolist() == [frame + i >= LENGTHS[1] for i in range(3)]
+        assert item["observation.images.ego_is_pad"].tolist() == [frame == 0, False]
+        for image, shown in zip(item["observation.images.ego"], images, strict=True):
+            levels = np.moveaxis(image.numpy() * 255, 0, -1)
+            assert np.abs(levels - episode.images["ego"][shown]).mean() < 6
 
 
 def test_merge(dataset, tmp_path):

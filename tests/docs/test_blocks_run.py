@@ -3,7 +3,6 @@ what it should.
 """
 
 import importlib
-import io
 import json
 import os
 import subprocess
@@ -11,16 +10,13 @@ import sys
 import time
 import tomllib
 from collections.abc import Callable, Iterator
-from contextlib import redirect_stdout
 from pathlib import Path
 
 import pytest
 import yaml
-from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
 from dynahoi_lerobot.cli import quickstart
-from dynahoi_lerobot.dataset import read_episodes
-from dynahoi_lerobot.evaluate.results import Results, read_results
+from dynahoi_lerobot.evaluate.results import read_results
 from tests.docs.documents import ROOT, Block, Page, pages
 from tests.docs.playing import Player, prepare, run
 from tests.hub.server import TOKEN
@@ -94,106 +90,42 @@ def player(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Player]:
 
 def check_data(folder: Path) -> None:
     """What generate.md, dataset.md and lerobot.md leave."""
-    ours = sorted(
-        {path.parents[1] for path in folder.glob("data/*/meta/manifest.json")}
-        - {folder / "data/slow"}
-    )
+    ours = {path.parents[1] for path in folder.glob("data/*/meta/manifest.json")}
     assert len(ours) >= 10
-    for root in ours:
+    for root in ours - {folder / "data/slow"}:
         run(["dynahoi", "verify", str(root)])
-        assert root.name == "onpolicy" or all(episode.success for episode in read_episodes(root)), (
-            root
-        )
-    edited = {path.parents[1] for path in folder.glob("data/**/meta/info.json")} - {
-        *ours,
-        folder / "data/slow",
-    }
-    counts = {root.name: LeRobotDataset(f"local/{root.name}", root).num_episodes for root in edited}
-    assert counts == {"train": 1, "val": 1, "fewer": 1, "fewer_columns": 2}, (
-        "LeRobot's editing tool"
-    )
     assert not (folder / "data/large").exists(), "a dry run"
-    (throw, _) = read_episodes(folder / "data/fast_throws")
-    assert throw.meta.motion in ("lob", "cross_throw")
-    assert throw.meta.protocol == "occluded"
 
 
 def check_results(folder: Path) -> None:
     """What the pages about training and evaluation leave."""
-    trained = {
-        path.parents[3].name
-        for path in folder.glob("outputs/*/checkpoints/last/pretrained_model/config.json")
-    }
+    configs = folder.glob("outputs/*/checkpoints/last/pretrained_model/config.json")
+    trained = {path.parents[3].name for path in configs}
     assert trained == {"obact", "act", "act_val", "act_state", "act_2", "act_hub"}
-    (played,) = folder.glob("outputs/act_val/dynahoi/*")
-    results = {path.name: read_results(path) for path in [played, *(folder / "results").iterdir()]}
-    assert results.pop(played.name).info.split == "val"
-    assert len(results.pop("lerobot").rows) == 1
-    for label, found in results.items():
-        assert len(found.rows) == 2, label
-    assert {label for label, found in results.items() if found.privileged} >= {
-        "act_state",
-        "pursuit",
-        "occluded",
-    }
-    assert not results["act"].privileged
-    assert score(results["occluded"], "S_loc") == 1.0, "the expert knows where the target will be"
-    rules = {name: found.rules for name, found in results.items()}
-    assert (rules["occluded"]["protocol"], rules["occluded"]["control_class"]) == (
-        "occluded",
-        "late",
-    )
-    assert (rules["direct_act"]["protocol"], rules["blind"]["protocol"]) == (
-        "direct_act",
-        "observe_then_blind",
-    )
-    assert (rules["unlimited"]["control_class"], rules["contact"]["capture"]) == (
-        "unlimited",
-        "contact",
-    )
-    assert "150" in rules["obact_async"]["inference"]
+    for results in (folder / "results").iterdir():
+        assert len(read_results(results).rows) == (1 if results.name == "lerobot" else 2)
     for clip in ("replayed.gif", "held.gif", "planar.mp4", "episode.html"):
         assert (folder / clip).stat().st_size > 1000
-    assert all(
-        label in (folder / "report.html").read_text()
-        for label in ("obact_standard", "pursuit", "S_loc")
-    )
+    assert "obact_standard" in (folder / "report.html").read_text()
 
 
-def score(results: Results, metric: str) -> float:
-    return results.as_json()["metrics"][metric]["value"]
-
-
-def before_first_hour(folder: Path) -> None:
-    """Run the quickstart: it leaves a dataset, a checkpoint, results and a report, and the pages
-    find them there.
+def run_quickstart(folder: Path) -> None:
+    """Run the quickstart, whose dataset, checkpoint and results the pages name; another run finds
+    everything there.
     """
     out = folder / "outputs/quickstart"
     command = [sys.executable, "-m", "dynahoi_lerobot.cli.main", "quickstart", "--tiny"]
-    done = subprocess.run(
-        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False
-    )
-    said = done.stdout
-    assert done.returncode == 0, said
-    assert not [
-        word
-        for word in ("Warning", "WARNING", "warning", "Traceback", "torchcodec")
-        if word in said
-    ]
+    said = subprocess.check_output(command, stderr=subprocess.STDOUT, text=True)
     assert said.strip().endswith((out / "report.html").as_uri())
-
+    assert "warning" not in said.lower()
+    assert subprocess.check_output(command, text=True).count("already done") == 4
+    for log in ("lerobot_train.log", "lerobot_eval.log"):
+        assert "libtorchcodec" not in (out / log).read_text()
     run(["dynahoi", "verify", str(out / "dataset")])
-    assert (
-        json.loads((out / "training/pretrained_model/config.json").read_text())["type"] == "obact"
-    )
     kinds = sorted(quickstart.KINDS[: quickstart.TINY.kinds])
     for name in ("obact", *quickstart.BASELINES):
-        assert sorted(row["kind"] for row in read_results(out / "results" / name).rows) == kinds
-        assert name in (out / "report.html").read_text()
-    assert len([*(out / "results/obact").glob("*.gif")]) == len(kinds)
-    with redirect_stdout(io.StringIO()) as again:
-        run(["dynahoi", "quickstart", "--tiny"])
-    assert again.getvalue().count("already done") == 4, "a second run must find everything there"
+        rows = read_results(out / "results" / name).rows
+        assert sorted(row["kind"] for row in rows) == kinds
 
 
 def check_first_hour(folder: Path) -> None:
@@ -202,7 +134,6 @@ def check_first_hour(folder: Path) -> None:
         assert "S_loc" in page.read_text()
     for results in (folder / "results").iterdir():
         assert len(read_results(results).rows) == 2
-    assert (folder / "outputs/obact/checkpoints/last/pretrained_model/model.safetensors").is_file()
     for clip in ("lob.gif", "spiral.gif"):
         assert (folder / clip).read_bytes()[:4] == b"GIF8"
 
@@ -210,7 +141,7 @@ def check_first_hour(folder: Path) -> None:
 GROUPS: dict[str, tuple[Callable[[Path], None] | None, Callable[[Path], None]]] = {
     "generate.md dataset.md lerobot.md": (None, check_data),
     "train.md evaluate.md policies.md contact.md benchmark.md": (None, check_results),
-    "README.md install.md environment.md extend.md play.md": (before_first_hour, check_first_hour),
+    "README.md install.md environment.md extend.md play.md": (run_quickstart, check_first_hour),
 }
 """Pages that are played one after the other in one folder; what is done before, and what is checked
 afterwards."""

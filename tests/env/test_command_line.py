@@ -3,16 +3,11 @@ else.
 """
 
 import sys
-from pathlib import Path
 
 import pytest
 from lerobot_env_dynahoi.checks import check_command_line
 
-from dynahoi_lerobot.evaluate.results import read_results
-from tests.checkpoints import FEATURES, SHIPPED, tiny_act
-from tests.tools import python
-
-ROOT = Path(__file__).parents[2]
+from tests.checkpoints import SHIPPED
 
 
 @pytest.fixture
@@ -38,6 +33,12 @@ def checked(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture):
         (["--env.hand=claw"], "'claw'"),
         (["--env.image_size=-3"], "-3"),
         (["--env.max_parallel_tasks=2"], "got 2"),
+        (["--env.fps=30"], "env.fps must be 20"),
+        (["--env.disable_env_checker=false"], "env.disable_env_checker must be true"),
+        (["--env.features", "{}"], "env.features cannot be set"),
+        (["--env.features_map={}"], "env.features_map cannot be set"),
+        (["--env.n_action_steps=4"], "env.n_action_steps is read with env.inference=async"),
+        (["--env.latency_ms=150"], "with mode sync the world waits"),
         (["--policy.path=no/such/folder"], "'no/such/folder'"),
         (["--policy.path=nothing"], "'nothing'"),
         ([f"--policy.path={SHIPPED.parent}"], "holds no policy"),
@@ -54,16 +55,9 @@ def test_a_mistake_is_one_sentence(words: list[str], named: str, checked) -> Non
         ["lerobot-eval", "--env.type=pusht", "--env.task=nothing"],
         ["lerobot-eval", "--env.type=dynahoi", "--env.task=lob", f"--policy.path={SHIPPED}"],
         ["lerobot-eval", "--env.type", "dynahoi", "--env.views", '["side"]'],
+        ["lerobot-eval", "--env.type=dynahoi", "--env.discover_packages_path", "my_motions"],
     ],
 )
 def test_other_environments_and_good_options_pass(words: list[str], monkeypatch) -> None:
     monkeypatch.setattr(sys, "argv", words)
     check_command_line()
-
-
-def test_ones_own_motion_plays_if_it_is_named(tmp_path: Path) -> None:
-    act = tiny_act(tmp_path / "act", FEATURES["input_features"])
-    python("-m", "tests.third_party.in_lerobot", act, tmp_path, cwd=ROOT)
-    found = read_results(tmp_path / "a_drift")
-    assert [row["kind"] for row in found.rows] == ["a_drift"] * 2
-    assert found.info.recipe["motions"] == ["a_drift"]

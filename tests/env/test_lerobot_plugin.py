@@ -22,6 +22,7 @@ from lerobot.envs.utils import (
 )
 from lerobot.scripts.lerobot_eval import main as lerobot_eval
 from lerobot.utils.import_utils import register_third_party_plugins
+from lerobot_env_dynahoi import command_line
 from lerobot_env_dynahoi.command_line import Launch, read_launch
 from lerobot_env_dynahoi.configuration_dynahoi import DynahoiEnvConfig
 
@@ -161,6 +162,23 @@ def test_results_are_named_after_the_policy_and_say_which_weights_lerobot_eval_p
     ):
         launch = said(words)
         assert (launch.policy, launch.weights) == (name, played)
+
+
+def test_the_rules_are_those_of_the_revision_that_lerobot_plays(said, tmp_path, monkeypatch):
+    revisions = {"v1": "late", None: "standard"}
+
+    def described(path: str, revision: str | None = None) -> Path:
+        folder = tmp_path / str(revision)
+        folder.mkdir()
+        told = {"type": "obact", "rules": {"control_class": revisions[revision]}}
+        (folder / "config.json").write_text(json.dumps(told))
+        return folder
+
+    monkeypatch.setattr(command_line, "described_folder", described)
+    words = ["lerobot-train", "--policy.path=me/policy"]
+    assert said(words).rules["control_class"] == "standard"
+    found = said([*words, "--policy.pretrained_revision=v1"])
+    assert found.rules["control_class"] == "late"
 
 
 def test_results_go_below_lerobots_output_folder(tmp_path: Path, said) -> None:

@@ -12,7 +12,7 @@ from lerobot.async_inference.robot_client import RobotClient
 from lerobot.datasets import LeRobotDataset
 from lerobot.datasets.dataset_tools import merge_datasets, remove_feature
 from lerobot.rollout.strategies import dagger
-from lerobot_policy_obact import launch_policy_server
+from lerobot_policy_obact import ObActPolicy, launch_policy_server
 from lerobot_robot_dynahoi import DynahoiRobotConfig
 
 from dynahoi_lerobot.evaluate.results import METRICS_FILE, Results, read_results
@@ -214,6 +214,7 @@ def test_the_expert_corrects_a_policy(
 @pytest.mark.slow
 def test_a_policy_server_moves_it(actor: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     port = "50917"
+    monkeypatch.setattr(ObActPolicy, "real_time", True)  # which the server sets, for this test only
     monkeypatch.setattr(sys, "argv", ["server", "--host=127.0.0.1", f"--port={port}", "--fps=100"])
     threading.Thread(target=launch_policy_server.main, daemon=True).start()
     options = {"realtime": False, "restart_s": float("inf"), "results_dir": tmp_path / "r"}

@@ -1,13 +1,16 @@
 """The benchmark through vla-eval's own runner, and the entry that it reads."""
 
 import asyncio
+import itertools
 import json
 import shlex
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from dynahoi_benchmark import DynahoiBenchmark
+from obact_server import ObActModelServer
 from vla_eval.benchmarks.base import Benchmark
 from vla_eval.cli.config_loader import load_config
 from vla_eval.cli.smoke import SmokeTest, run_validate, smoke_test_from_path
@@ -22,6 +25,7 @@ from dynahoi_lerobot.motions import CATEGORIES
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.splits import kind_seeds
+from tests.checkpoints import SHIPPED
 from tests.docs.playing import check_installation
 
 
@@ -82,6 +86,32 @@ def test_a_server_sees_what_the_convention_says_and_catches_if_it_moves_as_the_e
     assert missed.result["steps"] > caught.result["steps"]
     assert set(results[0]) - {"success"} <= set(METRICS.names())
     benchmark.cleanup()
+
+
+def test_how_fast_a_server_is_changes_nothing_that_obact_does(monkeypatch: pytest.MonkeyPatch):
+    benchmark = DynahoiBenchmark(image_size=96, kinds=["constant"])
+    server = ObActModelServer(str(SHIPPED))
+
+    class Served(Server):
+        async def start_episode(self, payload: dict) -> None:
+            self.task, self.actions = payload["task"], []
+            server._policy.reset()
+
+        async def act(self, observation: dict) -> dict:
+            chunk = server.predict(observation, SimpleNamespace())["actions"]
+            self.actions.append(chunk[: server.chunk_size])
+            return {"actions": self.actions[-1][0]}
+
+    monkeypatch.setattr(f"{__name__}.Server", Served)
+    played = []
+    for delay_s in (0.05, 0.2):
+        clock = itertools.count(100.0, delay_s)
+        monkeypatch.setattr("time.monotonic", lambda clock=clock: next(clock))
+        played.append(run(benchmark, "constant", moves=True))
+    prompt, slow = played
+    assert prompt.actions[0].shape == (1, 18), "it sees every step"
+    np.testing.assert_array_equal(prompt.actions, slow.actions)
+    assert prompt.result["metrics"]["S_loc"] == 1.0
 
 
 def test_the_world_moves_on_while_a_server_infers():

@@ -13,7 +13,8 @@ from lerobot.policies.diffusion.modeling_diffusion import DiffusionPolicy
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.agent import Observation
-from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError, note_frame, queued_frame
+from dynahoi_lerobot.core.lerobot_internals import queued_frame
+from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError, note_frame
 from dynahoi_lerobot.evaluate.results import read_results
 from tests.checkpoints import SHIPPED, tiny_diffusion
 from tests.world.playing import world
@@ -71,6 +72,22 @@ def test_a_measured_inference_is_of_one_world_and_may_outlast_the_chunk_before(
     )
     assert set(worlds) == {1}
     assert read_results(tmp_path).info.extra["inference_frames"] == 11.0
+
+
+def test_a_policy_plays_on_without_the_worlds_that_have_ended(specs):
+    seen = world(specs[:3], image_size=96)
+    agent, whole = PolicyAgent(CHECKPOINT), PolicyAgent(CHECKPOINT)
+    for one in (agent, whole):
+        one.reset(3)
+        one.act(seen.observe())
+    agent.leave(np.array([0]))
+    seen.step(seen.executed)
+    commands, all_commands = (one.act(seen.observe()) for one in (agent, whole))
+    np.testing.assert_array_equal(commands[1:], all_commands[1:])
+    assert not commands[0].any()
+    agent.leave(np.array([2]))
+    seen.step(seen.executed)
+    np.testing.assert_array_equal(agent.act(seen.observe())[1], whole.act(seen.observe())[1])
 
 
 def test_guidance_continues_what_is_left_of_a_chunk_or_where_it_led(specs, monkeypatch):

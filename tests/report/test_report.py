@@ -129,7 +129,7 @@ def test_entries_come_best_first_and_once(entries: list[Entry]):
 def test_every_one_of_many_evaluations_has_a_mark_of_its_own_in_each_form():
     marks = [Mark.of(place) for place in range(40)]
     for form in ("marker", "letter", "dashes", "hatch"):
-        assert len({(mark.colour, str(getattr(mark, form))) for mark in marks}) == 40
+        assert len({(mark.color, str(getattr(mark, form))) for mark in marks}) == 40
 
 
 def unfinished(root: Path) -> list[Path]:

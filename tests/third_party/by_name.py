@@ -25,6 +25,7 @@ OPTIONS = ["--motions", "a_drift", "--objects", "caltrop"]
 def main(folder: Path) -> None:
     before = compile_scene()
     importlib.import_module("tests.third_party.things")
+    importlib.import_module("lerobot_policy_forward.task")
     assert compile_scene().target_geoms.size > before.target_geoms.size, (
         "slots are added after the first compilation"
     )
@@ -46,12 +47,8 @@ def main(folder: Path) -> None:
     env = gym.make("dynahoi_lerobot.env:dynahoi/a_drift-v0", image_size=32)
     observation, _ = env.reset(seed=0)
     assert np.ptp(observation["pixels"]["ego"]) > 0
-    assert (
-        dynahoi(
-            ["generate", "--root", str(folder), "--episodes", "1", "--image-size", "32", *OPTIONS]
-        )
-        == 0
-    )
+    words = ["--root", str(folder), "--episodes", "1", "--image-size", "32"]
+    assert dynahoi(["generate", *words, *OPTIONS]) == 0
     assert pin.differences(pin.pin(seeds=2, with_images=1), pin.read()) == []
 
 

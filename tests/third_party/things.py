@@ -1,43 +1,8 @@
-"""A motion and an object of somebody else: its name sorts before all of the core's, it has more
-primitives than any.
-"""
-
-from dataclasses import dataclass
-from typing import ClassVar, Self
+"""An object of somebody else, which has more primitives than any of the core's."""
 
 import numpy as np
 
-from dynahoi_lerobot.motions import MOTIONS, Draw, PrescribedMotion
-from dynahoi_lerobot.motions.launch import Vector
 from dynahoi_lerobot.objects import ObjectGeometry, Primitive, object_type
-
-
-@MOTIONS.register("a_drift")
-@dataclass(frozen=True)
-class Drift(PrescribedMotion):
-    """Slow uniform motion along y.
-
-    Attributes:
-        center: where it is at ``center_s`` [m].
-        center_s: [s].
-        speed_m_s: along y.
-    """
-
-    center: Vector
-    center_s: float
-    speed_m_s: float
-    category: ClassVar[str] = "straight_line"
-    phrase: ClassVar[str] = "drifting to the side"
-
-    @classmethod
-    def sample(cls, draw: Draw) -> Self:
-        return cls(draw.meeting_point(), draw.intercept_s, draw.uniform(0.05, 0.2) * draw.sign())
-
-    def position(self, time_s: np.ndarray) -> np.ndarray:
-        return np.asarray(self.center) + np.outer(
-            time_s - self.center_s, [0.0, self.speed_m_s, 0.0]
-        )
-
 
 SPIKES = 10
 SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3}

@@ -1,5 +1,6 @@
 """``dynahoi filter`` copies all episodes but outliers and those it is told to leave out."""
 
+from itertools import cycle, islice
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.verify.command import verify
 from dynahoi_lerobot.verify.filter import find_outliers
 from tests.dataset.episodes import changed, varied_episode, write
+from tests.verify.test_forgeries import DATA, ROWS, TRUTH
 
 SENTENCE = "episode 7: action.thumb_tip.pos reaches 2.200, outside -0.500 to 1.500 in 1 frame"
 
@@ -79,68 +81,25 @@ def test_named_episodes_are_left_out(with_outlier, tmp_path):
     assert [row["seed"] for row in Store(tmp_path / "new").rows] == [1, 2, *range(4, 12)]
 
 
-ROWS, DATA, TRUTH = (
-    f"{folder}/chunk-000/file-000.parquet"
-    for folder in ("meta/episodes", "data", "meta/privileged")
-)
-SURPLUS = {f"more {number}": pa.nulls(300_000, pa.bool_()) for number in range(40)}
+COLUMNS = [
+    (ROWS, {"tasks": [0.5]}, "column tasks of type double; it must be list<"),
+    (ROWS, {"stats/action/mean": [{"a": [None]}]}, "stats/action/mean of type struct<"),
+    (ROWS, {"benchmark": [None]}, "benchmark must be a valid string, got None"),
+    (TRUTH, {"frame_index": [0]}, "privileged tables of other episodes"),
+    (TRUTH, {"captured": [{"a": [None]}]}, "its column captured is of type struct<"),
+    (DATA, {"action": [[0.0] * 17, [0.0] * 18]}, "its column action is of"),
+    (DATA, {"next.done": [True, None]}, "its column next.done is of type bool"),
+]
+"""A table, values of a column, over and over, and what is said."""
 
 
-@pytest.mark.parametrize(
-    ("path", "change", "sentence"),
-    [
-        (
-            ROWS,
-            lambda n: {"tasks": pa.array([0.5] * n)},
-            "column tasks of type double; it must be list<",
-        ),
-        (
-            ROWS,
-            lambda n: {"stats/action/mean": pa.array([{"a": [None]}] * n)},
-            "stats/action/mean of type struct<",
-        ),
-        (
-            TRUTH,
-            lambda n: {"captured": pa.array([{"a": [None]}] * n)},
-            "its column captured is of type struct<",
-        ),
-        (
-            TRUTH,
-            lambda n: {"frame_index": pa.array([0] * n)},
-            "privileged tables of other episodes",
-        ),
-        (ROWS, lambda n: {"benchmark": pa.nulls(n)}, "benchmark must be a valid string, got None"),
-        (
-            ROWS,
-            lambda n: {"tasks": pa.array([[]] * n, pa.list_(pa.string()))},
-            "it has no 'tasks.0'",
-        ),
-        (
-            ROWS,
-            lambda n: {name: pa.nulls(300_000) for name in ("length", "seed")} | SURPLUS,
-            "at most",
-        ),
-        (
-            DATA,
-            lambda n: {"action": pa.array([[0.0] * (17 + i % 2 * 2) for i in range(n)])},
-            "its column action is of",
-        ),
-        (
-            DATA,
-            lambda n: {"next.done": pa.array([True] * (n - 1) + [None])},
-            "its column next.done is of type bool",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("path", "change", "sentence"), COLUMNS)
 def test_columns_of_other_types_are_named(path, change, sentence, tmp_path, capsys):
     root = write(tmp_path / "d", range(2), image_size=0)
     held = pq.read_table(root / path)
-    columns = {name: held[name] for name in held.schema.names} | change(len(held))
-    longest = max(map(len, columns.values()))
-    columns = {
-        name: values if len(values) == longest else pa.nulls(longest)
-        for name, values in columns.items()
-    }
+    columns = {name: held[name] for name in held.schema.names}
+    for name, values in change.items():
+        columns[name] = pa.array(list(islice(cycle(values), len(held))))
     pq.write_table(pa.table(columns), root / path)
     assert run(root, "--out", tmp_path / "new", "--drop", "0") == 2
     assert sentence in capsys.readouterr().err

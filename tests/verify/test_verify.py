@@ -101,6 +101,16 @@ def test_another_card_is_no_finding_but_noted(copy):
     ]
 
 
+def test_without_lerobot_all_else_is_checked(copy, monkeypatch):
+    monkeypatch.setattr("dynahoi_lerobot.verify.format.find_spec", lambda _: None)
+    notes: list[str] = []
+    assert verify(copy, note=notes.append) == []
+    assert "LeRobot is not installed" in notes[0]
+    edit_json(copy / "meta/stats.json", lambda stats: stats["action"].update(count=[7]))
+    sign(copy)
+    assert found(copy) == {"format"}
+
+
 def test_a_folder_that_lerobot_opens_with_its_neighbours_is_found(copy):
     assert found(copy.rename(copy.parent / "co?y")) == {"files"}
 

@@ -150,7 +150,7 @@ def save_phi(folder: Path) -> None:
 
 
 def save_image_tokenizer(folder: Path) -> None:
-    """Write a vector-quantised autoencoder of 16 codes, one for 2 x 2 pixels."""
+    """Write a vector-quantized autoencoder of 16 codes, one for 2 x 2 pixels."""
     blocks = {
         "down_block_types": ["DownEncoderBlock2D"] * 2,
         "up_block_types": ["UpDecoderBlock2D"] * 2,

@@ -1,36 +1,37 @@
-"""What is wrong with LeRobot's command line, in one sentence, before LeRobot reads it.
-
-LeRobot would print a traceback, and only after it has loaded everything else.
-"""
+"""What is wrong with LeRobot's command line, in one sentence, before LeRobot reads it."""
 
 import os
-import sys
-from pathlib import Path
 
 import draccus
-from draccus.utils import DraccusException
-from lerobot.configs import parser
 
+from dynahoi_lerobot.core.lerobot_internals import (
+    given,
+    given_type,
+    given_words,
+    mistakes_in_a_sentence,
+)
 from dynahoi_lerobot.evaluate.checkpoint import CONFIG, described_folder, hint_at_checkpoint
 from lerobot_env_dynahoi.configuration_dynahoi import DynahoiEnvConfig
 
-BAD_INPUT = 2
-"""Exit code."""
+DESCRIBED = ("features", "features_map")
+"""Fields of every environment's config that ours fills in by itself."""
 
 
 def check_command_line() -> None:
     """End the process if the command line asks for this environment with options that it does not
-    have, or for a policy that is not there.
+    have or heed, or for a policy that is not there.
     """
-    if parser.get_type_arg("env") != "dynahoi":
+    if given_type("env") != "dynahoi":
         return
-    try:
-        _check_policy(parser.parse_arg("policy.path"))
-        draccus.parse(DynahoiEnvConfig, args=parser.get_cli_overrides("env") or [])
-    except (ValueError, DraccusException) as error:
-        sentence = " ".join(str(error.__cause__ or error).split())
-        print(f"{Path(sys.argv[0]).stem}: {sentence}", file=sys.stderr)
-        sys.exit(BAD_INPUT)
+    with mistakes_in_a_sentence():
+        _check_policy(given("policy.path"))
+        for name in DESCRIBED:
+            if given(f"env.{name}") is not None:
+                raise ValueError(
+                    f"env.{name} cannot be set: it follows from env.views, env.image_size and the "
+                    f"other rules"
+                )
+        draccus.parse(DynahoiEnvConfig, args=given_words("env"))
 
 
 def _check_policy(path: str | None) -> None:

@@ -2,7 +2,6 @@
 policy to it.
 """
 
-import sys
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -10,8 +9,9 @@ from typing import Any
 
 import draccus
 import yaml
-from lerobot.configs import PreTrainedConfig, parser
+from lerobot.configs import PreTrainedConfig
 
+from dynahoi_lerobot.core.lerobot_internals import command_name, given, given_policy, given_type
 from dynahoi_lerobot.core.reading import ReadError, read_object, read_yaml
 from dynahoi_lerobot.evaluate.checkpoint import (
     CONFIG,
@@ -82,21 +82,21 @@ def read_launch(*, policy_config: bool = False) -> Launch:
     """Read the command line of this process and the config file that it names; nothing else here
     does. The policy's config is read on request.
     """
-    path = parser.parse_arg("policy.path") or parser.parse_arg("policy.pretrained_path")
+    path = given("policy.path") or given("policy.pretrained_path")
     rules: dict[str, Any] = {}
     weights: dict[str, str] = {}
     renames: dict[str, str] = {}
-    name = path or parser.get_type_arg("policy") or "policy"
+    name = path or given_type("policy") or "policy"
     if path:
         try:
-            folder = described_folder(path)
-            given = _rename_map()
-            renames = {} if given else renamed(folder)
-            rules = trained_for(folder, given or renames)
+            folder = described_folder(path, given("policy.pretrained_revision"))
+            told = _rename_map()
+            renames = {} if told else renamed(folder)
+            rules = trained_for(folder, told or renames)
             name = path if folder != Path(path) else str(read_object(folder / CONFIG).get("type"))
         except ReadError:
             pass  # LeRobot says what is wrong with it
-    if path and Path(sys.argv[0]).stem.replace("_", "-") == "lerobot-eval":
+    if path and command_name() == "lerobot-eval":
         weights = folder_weights(Path(path))
     config = _policy_config() if policy_config else None
     return Launch(name, rules, weights, renames, config, _output_dir())
@@ -109,8 +109,8 @@ def _output_dir() -> Path:
 
 def _rename_map() -> dict[str, str]:
     """LeRobot's ``--rename_map``, as far as it is one."""
-    given = _option("rename_map")
-    names = yaml.safe_load(given) if isinstance(given, str) else given
+    told = _option("rename_map")
+    names = yaml.safe_load(told) if isinstance(told, str) else told
     return names if isinstance(names, dict) else {}
 
 
@@ -118,16 +118,17 @@ def _option(name: str) -> Any:
     """The value of an option of LeRobot's, which the file of ``--config_path`` may give, too; None
     if neither does.
     """
-    config = Path(parser.parse_arg("config_path") or "")
+    config = Path(given("config_path") or "")
     told = read_yaml(config) if config.is_file() else {}
-    return parser.parse_arg(name) or told.get(name)
+    return given(name) or told.get(name)
 
 
 def _policy_config() -> Any | None:
     """The config that LeRobot reads from the command line, None if that names no policy."""
-    overrides = [*parser.get_yaml_overrides("policy"), *(parser.get_cli_overrides("policy") or [])]
-    if path := parser.get_path_arg("policy"):
+    path, overrides = given_policy()
+    if path is not None:
         return PreTrainedConfig.from_pretrained(path, cli_overrides=overrides)
-    if kind := parser.get_type_arg("policy"):
+    kind = given_type("policy")
+    if kind is not None:
         return draccus.parse(PreTrainedConfig.get_choice_class(kind), args=overrides)
     return None

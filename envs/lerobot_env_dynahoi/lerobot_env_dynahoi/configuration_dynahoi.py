@@ -72,12 +72,22 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
         """Check all names, and fill in ``features`` and ``features_map``.
 
         Raises:
-            ValueError: for an unknown name, naming the ones there are, or for more than one task at
-                a time.
+            ValueError: for an unknown name, naming the ones there are, for more than one task at a
+                time, or for an option of LeRobot's that has no effect here.
         """
         if self.max_parallel_tasks != 1:
             told = "must be 1, because LeRobot's parallel tasks share one policy and its memory"
             raise ValueError(f"env.max_parallel_tasks {told}, got {self.max_parallel_tasks}")
+        if self.fps != CONTROL_HZ:
+            told = f"must be {CONTROL_HZ}, the rate of the simulation's commands and frames"
+            raise ValueError(f"env.fps {told}, got {self.fps}")
+        if not self.disable_env_checker:
+            told = "must be true, because Gymnasium checks no vector environment"
+            raise ValueError(f"env.disable_env_checker {told}, got false")
+        timing = Inference(self.inference, self.latency_ms)
+        if self.n_action_steps and timing.mode == SYNC:
+            told = "is read with env.inference=async alone; leave it out"
+            raise ValueError(f"env.n_action_steps {told}, got {self.n_action_steps}")
         recipe = self.recipe()
         known("reward", self.reward, REWARDS)
         self._describe(recipe.rules)

@@ -20,7 +20,7 @@ class DynahoiRobotConfig(RobotConfig):
         split: stream of episodes: val, test, test_small, train, twins or one of the ood_ splits.
         task: the kind of motion; None for all kinds of the split in turn.
         seed: number of the first episode within split and kind; the next episodes count up.
-        control_class: limits and latency of the hand: standard, late or unlimited.
+        control_class: limits and latency of the hand; `dynahoi list control-classes` has them.
         capture: capture rule: attach, attach_lenient or contact.
         hand: the hand; the capture rule's if empty.
         image_size: side of the camera images [px].

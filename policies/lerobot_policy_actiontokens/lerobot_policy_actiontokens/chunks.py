@@ -46,6 +46,10 @@ class ChunkConfig(PreTrainedConfig):
                 f"n_action_steps is {self.n_action_steps}, but must be 1 to {self.chunk_size} "
                 f"(chunk_size)."
             )
+        if self.n_obs_steps != 1:
+            raise ValueError(
+                f"n_obs_steps is {self.n_obs_steps}, but must be 1: this policy sees one frame."
+            )
         if self.dtype not in ("float32", "bfloat16"):
             raise ValueError(f"dtype is {self.dtype!r}, but must be float32 or bfloat16.")
 
@@ -68,12 +72,17 @@ class ChunkConfig(PreTrainedConfig):
         """Check that the dataset has the features the policy needs.
 
         Raises:
-            ValueError: if there is no image or no flat action.
+            ValueError: if there is no image, more than one, or no flat action.
         """
         if not self.image_features:
             raise ValueError(
                 f"{self.type} needs an image, but the inputs are "
                 f"{sorted(self.input_features or {})}."
+            )
+        if len(self.image_features) > 1:
+            raise ValueError(
+                f"{self.type} sees one image, but the inputs have "
+                f"{', '.join(self.image_features)}; name one in --policy.input_features."
             )
         if self.action_feature is None or len(self.action_feature.shape) != 1:
             raise ValueError(
@@ -133,7 +142,7 @@ class ChunkPolicy(PreTrainedPolicy):
 
     @property
     def camera(self) -> str:
-        """Key of the image that the policy sees: the first of the config's."""
+        """Key of the image that the policy sees."""
         return next(iter(self.config.image_features))
 
 

@@ -55,5 +55,5 @@ def action_stats(vlm_name: str, key: str) -> dict[str, torch.Tensor]:
         )
     stats = known[key]["action"]
     low, high = (torch.tensor(stats[name], dtype=torch.float32) for name in ("q01", "q99"))
-    normalised = torch.tensor(stats.get("mask", [True] * len(low)))
-    return {"q01": torch.where(normalised, low, -1.0), "q99": torch.where(normalised, high, 1.0)}
+    normalized = torch.tensor(stats.get("mask", [True] * len(low)))
+    return {"q01": torch.where(normalized, low, -1.0), "q99": torch.where(normalized, high, 1.0)}

@@ -157,6 +157,13 @@ class ObActConfig(PreTrainedConfig):
         self._require(not self.encoder or self.encoder in ENCODERS, "encoder", allowed)
         self._require(self.head in HEADS, "head", f"one of {', '.join(HEADS)}")
         self._require(0 <= self.ema_decay < 1, "ema_decay", "0 or more and below 1")
+        identity = all(
+            mode == NormalizationMode.IDENTITY for mode in self.normalization_mapping.values()
+        )
+        allowed = "IDENTITY for everything: encoders and heads standardize by themselves"
+        self._require(identity, "normalization_mapping", allowed)
+        exact = "false: this policy acts in double precision, which autocast leaves alone"
+        self._require(not (self.use_amp and self.exact), "use_amp", exact)
         for name in ("n_steps", "n_draws"):
             value = self.head_options.get(name, 1)
             if not 1 <= value <= MAX_SAMPLING:

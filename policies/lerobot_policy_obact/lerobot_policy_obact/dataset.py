@@ -20,7 +20,7 @@ import torch
 from lerobot.utils.constants import ACTION, OBS_STATE
 from torch import Tensor
 
-from .configuration_obact import CONTACT, Embodiment
+from .configuration_obact import CONTACT, IMAGES, SIGHTINGS, Embodiment
 from .teacher import LONGEST_FRAMES, Targets, Teacher
 
 # the tables of a DynaHOI dataset with a row per episode, per frame, and per episode again, and
@@ -77,7 +77,12 @@ def rules_of(meta: Any) -> dict[str, Any]:
 
 
 def embodiment_of(meta: Any, cameras: list[str]) -> Embodiment:
-    """Return what a dataset says of its clock, its cameras, its hand and its targets."""
+    """Return what a dataset says of its clock, its cameras, its hand and its targets.
+
+    Raises:
+        ValueError: if the dataset knows the poses of its cameras, but has one of ``cameras`` under
+            another name.
+    """
     views = {key: key.split(".")[-1] for key in cameras}
     of_cameras = {
         name.format(view) for view in views.values() for name in (CAMERA_POSE, CAMERA_INTRINSICS)
@@ -90,6 +95,13 @@ def embodiment_of(meta: Any, cameras: list[str]) -> Embodiment:
             "off, and only actions are learned",
             meta.root / CONSTANTS,
         )
+    held = {name.replace(SIGHTINGS, IMAGES) for name in meta.features}
+    for key in cameras if constants else ():
+        if key not in held:
+            raise ValueError(
+                f"{meta.repo_id} has no {key}, under whose name ObAct looks up the camera's pose: "
+                f"train without --rename_map, from random weights"
+            )
     calibration = {}
     for key, view in views.items():
         if CAMERA_POSE.format(view) in constants:

@@ -16,7 +16,14 @@ from lerobot.async_inference.constants import SUPPORTED_POLICIES
 from . import ObActPolicy
 
 SUPPORTED_POLICIES.append(ObActPolicy.name)
-main = cast(Callable[[], None], policy_server.serve)  # its argument is parsed from the command line
+
+
+def main() -> None:
+    """Serve robots, which move on while the policy computes."""
+    ObActPolicy.real_time = True
+    serve = cast(Callable[[], None], policy_server.serve)  # parses the command line
+    serve()
+
 
 if __name__ == "__main__":
     main()

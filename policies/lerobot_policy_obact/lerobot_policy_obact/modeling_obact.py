@@ -92,6 +92,9 @@ class ObActPolicy(PreTrainedPolicy):
     config_class: ClassVar[type[ObActConfig]] = ObActConfig
     name: ClassVar[str] = "obact"
     config: ObActConfig
+    real_time: ClassVar[bool] = False
+    """Whether the world moves on while a caller who asks for chunks waits: frames without
+    ``timestamp`` are then as old as the wall clock says."""
     _shown: list[Tensor] | None = None  # what was observed last, also before `reset`
 
     def __init__(
@@ -287,6 +290,19 @@ class ObActPolicy(PreTrainedPolicy):
             self._action_queue.extend(chunk[:, : config.n_action_steps].unbind(1))
         return self._action_queue.popleft()
 
+    def keep_rows(self, rows: Any) -> None:
+        """Go on with the environments of the sorted rows ``(R,)`` of the batch alone; what they do
+        does not depend on the others.
+        """
+        kept = [
+            replace(frame, sightings=frame.sightings[rows], state=frame.state[rows])
+            for frame in self._history
+        ]
+        self._history = deque(kept, maxlen=self._history.maxlen)
+        self._images = {key: images[rows] for key, images in self._images.items()}
+        self._action_queue = deque(actions[rows] for actions in self._action_queue)
+        self._commands = {frame: goals[rows] for frame, goals in self._commands.items()}
+
     def _is_shown_again(self, batch: Batch) -> bool:
         """Whether a batch is the newest frame again."""
         state, images = self._history[-1].state[:, 0], self._images
@@ -297,7 +313,11 @@ class ObActPolicy(PreTrainedPolicy):
     @on_one_thread
     @torch.no_grad()
     def predict_action_chunk(self, batch: Batch, inference_delay: int = 0, **kwargs: Any) -> Tensor:
-        """Return a whole chunk, ``(B, H, A)``; see `observe`.
+        """Return a whole chunk, ``(B, H, A)``.
+
+        A frame is as old as its ``timestamp`` says, or, if the batch has none, ``n_action_steps``
+        later than the one before, as in a simulation that waits. In `real_time`, and if a previous
+        chunk is offered, as by LeRobot's real-time chunking, the wall clock says how old it is.
 
         Its first ``inference_delay`` actions are past when it is there; the others follow from the
         forecast and from where the palm will be by then, or, without a forecast, are those expected
@@ -307,7 +327,9 @@ class ObActPolicy(PreTrainedPolicy):
         chunks follow from one history and need none. The head's errors agree over a whole chunk, so
         guidance towards the first actions of the previous one would keep its outdated forecast.
         """
-        self.observe(batch)
+        config = self.config
+        live = self.real_time or "prev_chunk_left_over" in kwargs
+        self._note(batch, config.n_action_steps / config.embodiment.fps, live=live)
         return self._chunk(inference_delay)
 
     @on_one_thread
@@ -315,14 +337,22 @@ class ObActPolicy(PreTrainedPolicy):
     def observe(self, batch: Batch) -> None:
         """Add a frame to the history without acting, for callers that ask for chunks now and then.
 
-        A frame is as old as its ``timestamp`` says, or, if the batch has none, as the wall clock
-        says, in ticks of ``embodiment.fps``. LeRobot's real-time chunking hands over a frame twice
-        if it asks faster than that: it counts once. After `reset` it hands over the last frame of
-        the previous episode, which is forgotten when another one comes.
+        A frame is as old as its ``timestamp`` says, or, if the batch has none, a tick of
+        ``embodiment.fps`` later than the one before, or, in `real_time`, as the wall clock says.
+        """
+        self._note(batch, 1 / self.config.embodiment.fps, live=self.real_time)
+
+    def _note(self, batch: Batch, step_s: float, *, live: bool) -> None:
+        """Add a frame that is, without ``timestamp``, ``step_s`` later than the one before, or, if
+        the caller is ``live``, as old as the wall clock says, in ticks.
+
+        LeRobot's real-time chunking hands over a frame twice if it asks faster than that: it counts
+        once. After `reset` it hands over the last frame of the previous episode, which is forgotten
+        when another one comes.
         """
         self.eval()
-        now_s = time.monotonic()
-        if "timestamp" not in batch:
+        now_s = time.monotonic() if live else self._now_s + step_s
+        if live and "timestamp" not in batch:
             shown, old = (
                 [batch[key].clone() for key in (*self.config.state_keys, *self.config.cameras)],
                 self._shown,

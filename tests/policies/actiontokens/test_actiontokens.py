@@ -41,10 +41,11 @@ def make_policy(kind: type[Policy], models: Path, **changes: object) -> Policy:
         options |= {"image_size": PIXELS[kind], "chunk_size": 4, "n_action_steps": 4}
     else:
         options = {"vlm_name": str(models / "smolvlm"), "load_weights": False}
+    image = PolicyFeature(FeatureType.VISUAL, (3, PIXELS[kind], PIXELS[kind]))
+    options["input_features"] = {CAMERA: image}
     config = kind.config_class(
         device="cpu",
         push_to_hub=False,
-        input_features={CAMERA: PolicyFeature(FeatureType.VISUAL, (3, PIXELS[kind], PIXELS[kind]))},
         output_features={"action": PolicyFeature(FeatureType.ACTION, (SIZE,))},
         **options | changes,
     )
@@ -237,11 +238,18 @@ def test_codes_come_back_row_by_row(models: Path) -> None:
     torch.testing.assert_close(images.decode(codes), decoded)
 
 
+TWO_CAMERAS = dict.fromkeys(
+    (CAMERA, "observation.images.side"), PolicyFeature(FeatureType.VISUAL, (3, 32, 32))
+)
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
         ({"n_action_steps": 2}, "n_action_steps is 2, but must be 1 to 1"),
         ({"dtype": "int8"}, "int8"),
+        ({"n_obs_steps": 2}, "n_obs_steps is 2, but must be 1"),
+        ({"input_features": TWO_CAMERAS}, "sees one image, but the inputs have .*ego, .*side"),
     ],
 )
 def test_bad_values_are_named(models: Path, changes: dict, words: str) -> None:

@@ -7,7 +7,7 @@ import pickle
 import shutil
 import sys
 from dataclasses import replace
-from itertools import chain, repeat
+from itertools import chain, count, repeat
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -19,7 +19,7 @@ from lerobot.async_inference.configs import PolicyServerConfig
 from lerobot.async_inference.constants import SUPPORTED_POLICIES
 from lerobot.async_inference.helpers import RemotePolicyConfig, TimedObservation
 from lerobot.async_inference.policy_server import PolicyServer
-from lerobot.configs import FeatureType, PolicyFeature
+from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.datasets.dataset_tools import merge_datasets, modify_features
 from lerobot.datasets.factory import resolve_delta_timestamps
@@ -163,11 +163,13 @@ def learner(root: Path, **changes: object) -> ObActPolicy:
     return ObActPolicy(config, dataset_stats=meta.stats, dataset_meta=meta).train()
 
 
-def batch_of(policy: ObActPolicy, root: Path, n: int = 4) -> dict[str, torch.Tensor]:
+def batch_of(
+    policy: ObActPolicy, root: Path, n: int = 4, episodes: list[int] | None = None
+) -> dict[str, torch.Tensor]:
     """The first batch that LeRobot would make for a policy."""
     meta = LeRobotDatasetMetadata("local/tiny", root=root)
     times = resolve_delta_timestamps(policy.config, meta)
-    found = LeRobotDataset("local/tiny", root=root, delta_timestamps=times)
+    found = LeRobotDataset("local/tiny", root=root, delta_timestamps=times, episodes=episodes)
     return next(iter(DataLoader(found, batch_size=n, shuffle=True)))
 
 
@@ -259,9 +261,10 @@ def test_images_and_their_sightings_are_the_same_to_a_frozen_encoder(image_root,
     torch.testing.assert_close(images.sightings[seen], columns.sightings[seen], atol=0.1, rtol=0)
 
 
-def test_a_window_shows_the_target_as_it_moves_from_its_first_frame_on(hand_root):
+@pytest.mark.parametrize("episodes", [None, [1, 3]], ids=["all", "some episodes"])
+def test_a_window_shows_the_target_as_it_moves_from_its_first_frame_on(episodes, hand_root):
     policy = learner(hand_root)
-    batch = batch_of(policy, hand_root, n=16)
+    batch = batch_of(policy, hand_root, n=16, episodes=episodes)
     window, paths = policy._window(batch), episode_column(hand_root, "target_path")
     for i, (episode, index) in enumerate(zip(batch["episode_index"], batch["index"], strict=True)):
         first = int(index - policy.targets.first_index[episode]) - 12
@@ -270,6 +273,53 @@ def test_a_window_shows_the_target_as_it_moves_from_its_first_frame_on(hand_root
             place = path[min(max(first + row, 0), len(path) - 1)]
             torch.testing.assert_close(window.targets.path[i, row], place)
         assert window.frames.hidden[i].sum() == max(0, -first)
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"normalization_mapping": {"STATE": NormalizationMode.MEAN_STD}}, "must be IDENTITY"),
+        ({"use_amp": True}, "use_amp is True, but must be false"),
+    ],
+)
+def test_what_it_does_not_heed_is_refused(changes: dict, named: str):
+    with pytest.raises(ValueError, match=named):
+        ObActConfig(**TINY | HAND | changes)
+
+
+def test_a_camera_whose_pose_it_would_not_find_is_refused(hand_root: Path):
+    inputs = {
+        "observation.images.camera1": PolicyFeature(FeatureType.VISUAL, (3, 96, 96)),
+        "observation.state": PolicyFeature(FeatureType.STATE, (18,)),
+    }
+    with pytest.raises(ValueError, match=r"no observation.images.camera1, .* --rename_map"):
+        learner(hand_root, input_features=inputs)
+
+
+def test_training_goes_on_and_begins_from_a_checkpoint(push_root, tmp_path, monkeypatch):
+    first = lerobot_train(monkeypatch, push_root, tmp_path / "first")
+    AcceleratorState._reset_state(reset_partial_state=True)
+    words = [f"--config_path={first / 'train_config.json'}", "--resume=true", "--steps=4"]
+    monkeypatch.setattr(sys, "argv", ["lerobot-train", *words])
+    main()
+    state = tmp_path / "first/checkpoints/000004/training_state/training_step.json"
+    assert json.loads(state.read_text())["step"] == 4
+
+    options = {"policy.path": first, "policy.optimizer_lr": 1e-12, "policy.push_to_hub": "false"}
+    options |= {"dataset.repo_id": "local/tiny", "dataset.root": push_root, "steps": 1}
+    options |= {"output_dir": tmp_path / "tuned", "batch_size": 2, "num_workers": 0}
+    AcceleratorState._reset_state(reset_partial_state=True)
+    words = [f"--{name}={value}" for name, value in options.items()]
+    monkeypatch.setattr(sys, "argv", ["lerobot-train", *words])
+    main()
+    began, tuned = (
+        load_file(folder / "model.safetensors")
+        for folder in (first, tmp_path / "tuned/checkpoints/last/pretrained_model")
+    )
+    weights = [name for name in began if not name.startswith("average.")]
+    assert weights
+    for name in weights:
+        torch.testing.assert_close(tuned[name], began[name], atol=1e-6, rtol=0, msg=name)
 
 
 def test_images_are_not_decoded_for_frames_to_come(image_root):
@@ -444,11 +494,43 @@ def test_a_window_reaches_back_over_frames_that_were_dropped():
     assert not torch.equal(later(1), later(2))
 
 
+@pytest.mark.parametrize("n_action_steps", [1, 2])
+def test_how_long_a_server_takes_changes_no_chunk_where_the_world_waits(
+    n_action_steps: int, monkeypatch: pytest.MonkeyPatch
+):
+    policy, frames = varied(n_action_steps=n_action_steps), range(4)
+
+    def played(delay_s: float, timestamps: list[torch.Tensor] | None = None) -> torch.Tensor:
+        clock = count(100.0, delay_s)
+        monkeypatch.setattr("time.monotonic", lambda: next(clock))
+        policy.reset()
+        batches = [step(policy, seed=i) for i in frames]
+        for batch, seconds in zip(batches, timestamps or [], strict=False):
+            batch["timestamp"] = seconds
+        return torch.stack([policy.predict_action_chunk(batch) for batch in batches])
+
+    prompt = played(0.05)
+    for other in (
+        played(0.2),
+        played(0.05, [torch.tensor([0.05 * n_action_steps * i]) for i in frames]),
+    ):
+        torch.testing.assert_close(other, prompt, rtol=0, atol=0)
+    policy.real_time = True
+    assert not torch.equal(played(0.2), played(0.05)), "a robot moves on"
+
+
+def live(policy: ObActPolicy, seed: int) -> torch.Tensor:
+    """A chunk as LeRobot's real-time chunking asks for it."""
+    return policy.predict_action_chunk(
+        step(policy, seed=seed), inference_delay=0, prev_chunk_left_over=None
+    )
+
+
 def test_frames_are_ticks_of_the_robots_clock_however_often_and_late_a_caller_asks(monkeypatch):
     policy = varied()
     clock = chain([100.0, 100.02, 100.06, 100.09, 100.16], repeat(0.0))  # ticks 0, 0, 1, 2 and 3
     monkeypatch.setattr("time.monotonic", lambda: next(clock))
-    hurried = [policy.predict_action_chunk(step(policy, seed=i)) for i in (0, 0, 1, 2, 3)]
+    hurried = [live(policy, seed=i) for i in (0, 0, 1, 2, 3)]
     policy.reset()
     regular = [
         policy.predict_action_chunk(step(policy, seed=i) | {"timestamp": torch.tensor([0.05 * i])})
@@ -462,12 +544,33 @@ def test_the_last_frame_of_the_episode_before_is_forgotten(monkeypatch):
     clock = chain([100.0, 100.05, 110.0, 110.02, 110.07, 110.12, 0.0, 0.05], repeat(0.0))
     monkeypatch.setattr("time.monotonic", lambda: next(clock))
     for i in (8, 9):
-        policy.predict_action_chunk(step(policy, seed=i))
+        live(policy, seed=i)
     policy.reset()
-    stale = [policy.predict_action_chunk(step(policy, seed=i)) for i in (9, 9, 0, 1)]
+    stale = [live(policy, seed=i) for i in (9, 9, 0, 1)]
     policy.reset()
-    fresh = [policy.predict_action_chunk(step(policy, seed=i)) for i in (0, 1)]
+    fresh = [live(policy, seed=i) for i in (0, 1)]
     torch.testing.assert_close(torch.stack(stale[2:]), torch.stack(fresh))
+
+
+def test_rows_that_are_kept_act_as_with_those_that_are_dropped():
+    policy = varied(n_action_steps=2, horizon=4)
+    rows = np.array([0, 2])
+
+    def actions(dropped_after: int) -> torch.Tensor:
+        """Those of both rows in all frames."""
+        policy.reset()
+        found = []
+        for i in range(6):
+            batch = step(policy, n=3, seed=i)
+            if i > dropped_after:
+                batch = {key: values[rows] for key, values in batch.items()}
+            action = policy.select_action(batch)
+            found.append(action if i > dropped_after else action[rows])
+            if i == dropped_after:
+                policy.keep_rows(rows)
+        return torch.stack(found)
+
+    torch.testing.assert_close(actions(2), actions(9), rtol=0, atol=0)
 
 
 def test_real_time_chunking_guides_no_chunk():
