@@ -10,7 +10,7 @@ import torch
 import yaml
 from lerobot_policy_obact.encoders import Eye
 from lerobot_policy_obact.eye import pretraining
-from lerobot_policy_obact.eye.pretraining import LOG, STATE, RunFolder
+from lerobot_policy_obact.eye.run_folder import LOG, STATE, RunFolder
 from safetensors.torch import load_file
 from torch.utils.data import DataLoader
 

@@ -21,7 +21,7 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from .attention import SpatialAttention
-from .heads import perceptron
+from .layers import conv, perceptron
 
 N_SIGHTING = 5
 """Numbers of a sighting: u, v, log depth, and the log scales of the errors across and along the
@@ -233,14 +233,3 @@ class TransformersVision(Encoder):
 
 
 ENCODERS: dict[str, type[Encoder]] = {"eye": Eye, "conv": Conv, "transformers": TransformersVision}
-
-
-def conv(n_in: int, n_out: int, stride: int = 1) -> nn.Sequential:
-    """Return a 3 x 3 convolution with normalization by groups of eight channels, and its
-    activation.
-    """
-    return nn.Sequential(
-        nn.Conv2d(n_in, n_out, kernel_size=3, stride=stride, padding=1, bias=False),
-        nn.GroupNorm(n_out // 8, n_out),
-        nn.SiLU(inplace=True),
-    )

@@ -20,7 +20,7 @@ from .camera import Pinhole
 from .configuration_obact import ObActConfig
 from .encoders import N_SIGHTING
 from .frames import Frames, Record, gather_frames
-from .heads import perceptron
+from .layers import perceptron
 
 FORECAST_FRAMES = (0, 1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48)
 """Frames ahead at which the target's position is forecast."""

@@ -12,8 +12,6 @@ velocity. Dividing the former by the sum of its two coefficients gives the latte
 Euler loop samples both (DDIM is exact there).
 """
 
-from itertools import pairwise
-
 import numpy as np
 import torch
 from einops import rearrange, repeat
@@ -33,14 +31,6 @@ move together."""
 BETA = 0.5
 """The likelihood is weighted by the scale to this power, or what is easily predicted would count
 for nearly everything (beta-NLL; Seitzer et al., 2022)."""
-
-
-def perceptron(*widths: int) -> nn.Sequential:
-    """Return linear layers of these widths with SiLU between them."""
-    layers: list[nn.Module] = []
-    for n_in, n_out in pairwise(widths):
-        layers += [nn.Linear(n_in, n_out), nn.SiLU()]
-    return nn.Sequential(*layers[:-1])
 
 
 def frame_noise(frame: int, shape: tuple[int, ...], like: Tensor) -> Tensor:

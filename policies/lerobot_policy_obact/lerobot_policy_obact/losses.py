@@ -18,9 +18,9 @@ from torch import Tensor
 from .configuration_obact import ObActConfig
 from .forecaster import FORECAST_FRAMES, Forecast
 from .frames import Record, gather_frames, palm_of
-from .modeling_obact import ObActModel
+from .network import ObActModel, rolled_out
 from .teacher import Teacher
-from .windows import Window, rolled_out
+from .windows import Window
 
 UNREACHABLE_WEIGHT = 0.1  # weight of what should be done about a target that is out of reach
 MISSED_WEIGHT = 10.0

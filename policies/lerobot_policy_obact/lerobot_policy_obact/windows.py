@@ -21,9 +21,8 @@ from torch import Tensor
 
 from .camera import Pinhole
 from .configuration_obact import ObActConfig
-from .forecaster import Forecast
-from .frames import Frames, Record, gather_frames, palm_of, stepped
-from .modeling_obact import ObActModel
+from .frames import Frames, Record, gather_frames, stepped
+from .network import ObActModel, rolled_out
 from .teacher import Targets, Teacher
 
 UNITS = (0.25, 0.25, 0.3)
@@ -164,36 +163,6 @@ class VirtualHands:
         state = torch.cat([palm, frames.state[..., 3:]], dim=-1)
         seen = donors.seen(window.targets.path[:, :n], palm)
         return replace(window, frames=replace(frames, sightings=seen, state=state))
-
-
-def rolled_out(
-    model: ObActModel,
-    forecast: Forecast,
-    way: Tensor,
-    state: Tensor,
-    *,
-    begin: Tensor | None = None,
-    pushes: Tensor | None = None,
-) -> Tensor:
-    """Return the way ``(B, W + R, 3)`` [m] of palms that follow the head through R decisions.
-
-    Args:
-        model: whose head it is.
-        forecast: of the decisions, ``(B, R)``.
-        way: of the palm until the first of these takes effect [m], ``(B, W, 3)``.
-        state: of the robot, ``(B, S)``, of which a head that grips reads the joints.
-        begin: the decision from which on the palm moves, ``(B,)``; by default the first.
-        pushes: by which goals are off, ``(B, R', 3)`` [m], R' >= R.
-    """
-    ways, step_m = [*way.unbind(1)], model.config.embodiment.step_m
-    for r in range(forecast.features.shape[1]):
-        palm = ways[-1]
-        goal = palm_of(model.act_once(forecast[:, r], palm, state))
-        if pushes is not None:
-            goal = goal + pushes[:, r]
-        moved = stepped(palm, goal, step_m)
-        ways.append(moved if begin is None else torch.where((begin <= r)[:, None], moved, palm))
-    return torch.stack(ways, dim=1)
 
 
 class Donors:

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 import torch
-from lerobot_policy_obact.modeling_obact import ObActModel, ObActPolicy
+from lerobot_policy_obact.modeling_obact import ObActPolicy
+from lerobot_policy_obact.network import ObActModel
 from lerobot_policy_obact.threads import on_one_thread
 
 from tests.tools import python

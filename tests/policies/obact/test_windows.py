@@ -8,9 +8,10 @@ import torch
 from lerobot_policy_obact import ObActConfig, ObActPolicy
 from lerobot_policy_obact.camera import Pinhole
 from lerobot_policy_obact.configuration_obact import Embodiment
+from lerobot_policy_obact.forecaster import FORECAST_FRAMES, Forecast
 from lerobot_policy_obact.frames import Frames
 from lerobot_policy_obact.losses import closed_loop_loss, window_losses
-from lerobot_policy_obact.modeling_obact import FORECAST_FRAMES, Forecast, ObActModel
+from lerobot_policy_obact.network import ObActModel
 from lerobot_policy_obact.teacher import LONGEST_FRAMES, Targets, Teacher
 from lerobot_policy_obact.windows import Donors, VirtualHands, Window
 from torch._subclasses.fake_tensor import FakeTensorMode

@@ -1,11 +1,8 @@
 """Pretraining of the eye on images of random configurations, which `dynahoi pretrain` runs."""
 
-import json
 import math
 import time
-import weakref
 from collections.abc import Iterator
-from contextlib import ExitStack
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
@@ -20,23 +17,15 @@ from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from dynahoi_lerobot.core.conventions import EGO_VIEW
 from dynahoi_lerobot.core.files import write_atomically
-from dynahoi_lerobot.core.reading import read_text, reading, regular
-from dynahoi_lerobot.core.working_folder import working_folder
+from dynahoi_lerobot.core.reading import reading
 from dynahoi_lerobot.pretrain.recipe import PretrainRecipe
 from dynahoi_lerobot.pretrain.snapshots import ImageStream, calibration
 
 from ..camera import Pinhole
 from ..encoders import Eye
+from .run_folder import STATE, RunFolder, check_moments, check_progress
 
-WEIGHTS, LOG, STATE = "eye.safetensors", "log.jsonl", "state.pt"
-STATE_TYPES = {
-    "updates": int,
-    "processor_s": float,
-    "weights": dict,
-    "optimizer": dict,
-    "log": str,
-}
-"""What a saved state holds."""
+WEIGHTS = "eye.safetensors"
 HEAT_WEIGHT = 0.3
 """Weight of the cross-entropy of the cell that is attended to; only at first is it large."""
 LIKELIHOOD_WEIGHT = 0.1
@@ -48,7 +37,9 @@ ERROR_SHARE = 0.3
 farther away can be known less well."""
 LARGEST_ERROR = 4.0  # of these units: an eye that looks at something else learns no more from it
 WARMUP_UPDATES = 200
+FINAL_LR_SHARE = 0.02  # of the learning rate, to which a cosine decays it
 GRADIENT_CLIP = 5.0
+"""No number above was tuned."""
 
 
 def sighting_loss(eye: Eye, camera: Pinhole, images: Tensor, place: Tensor) -> Tensor:
@@ -85,17 +76,6 @@ def _heat_loss(heat: Tensor, true: Tensor) -> Tensor:
     return -heat[torch.arange(len(heat)), cell[:, 1], cell[:, 0]] * (place == cell).all(-1)
 
 
-def _alike(saved: Any, wanted: Tensor) -> bool:
-    """Tell whether what was saved is a tensor like the one that is wanted, the same if that is a
-    number, and finite.
-    """
-    if not isinstance(saved, Tensor) or (saved.shape, saved.dtype) != (wanted.shape, wanted.dtype):
-        return False
-    return bool(saved.isfinite().all() and wanted.isfinite().all()) and (
-        wanted.dim() > 0 or saved.equal(wanted)
-    )
-
-
 class RenderedImages(IterableDataset):
     """What an eye is shown in the updates from ``first`` on: images ``(F, H, W, 6)`` uint8 and
     places ``(F, 3)`` [m].
@@ -116,44 +96,6 @@ class RenderedImages(IterableDataset):
         ):
             for _, shown in zip(updates, stream(save * every), strict=False):
                 yield shown.images, shown.place
-
-
-class RunFolder:
-    """Keeps log and saved state together: what was logged after the last save is dropped when a run
-    resumes from it.
-    """
-
-    def __init__(self, path: Path, task: dict[str, Any]) -> None:
-        """Claim a folder for ``task`` as long as this object lives; raises what ``working_folder``
-        raises.
-        """
-        self.path = path
-        claim = ExitStack()
-        claim.enter_context(working_folder(path, task))
-        self.release = weakref.finalize(self, claim.close)
-
-    def log(self, line: dict[str, Any]) -> None:
-        """Append a line of JSON."""
-        with (self.path / LOG).open("a") as file:
-            file.write(json.dumps(line) + "\n")
-
-    def save(self, state: dict[str, Any]) -> None:
-        """Write what to go on from, whole or not at all, in place of what was saved before."""
-        whole = state | {"log": read_text(self.path / LOG)}
-        write_atomically({self.path / STATE: lambda path: torch.save(whole, path)})
-
-    def restore(self) -> dict[str, Any] | None:
-        """Return what was saved last, on the CPU, None for nothing, and let the log end there."""
-        if not (self.path / STATE).exists():
-            (self.path / LOG).unlink(missing_ok=True)
-            return None
-        with reading(self.path / STATE):
-            state = torch.load(regular(self.path / STATE), weights_only=True, map_location="cpu")
-            log = str(state["log"])
-        write_atomically(
-            {self.path / LOG: lambda path: path.write_text(log)}
-        )  # in place of a pipe or a link, too
-        return state
 
 
 class Training:
@@ -177,9 +119,8 @@ class Training:
             eye = Eye(**recipe.eye)
             eye.load_pretrained()
             self._eye = eye.to(recipe.device)
-        except (
-            Exception
-        ) as error:  # whatever options and devices that do not exist make torch raise
+        # whatever options and devices that do not exist make torch raise
+        except Exception as error:
             raise ValueError(
                 f"eye is {recipe.eye} on {recipe.device!r}, which cannot be made: {error}"
             ) from error
@@ -192,35 +133,16 @@ class Training:
         self.n_updates, self._spent_s = 0, 0.0
         self._folder = RunFolder(recipe.out, draccus.encode(replace(recipe, out=Path())))
         with reading(recipe.out / STATE):
-            if state := self._folder.restore():
-                for name, kind in STATE_TYPES.items():
-                    if not isinstance(state.get(name), kind):
-                        raise TypeError(f"it has no {name!r} of type {kind.__name__}")
-                self.n_updates, self._spent_s = state["updates"], state["processor_s"]
-                if not 1 <= self.n_updates <= recipe.updates or not 0 <= self._spent_s < math.inf:
-                    told = f"{self.n_updates} updates in {self._spent_s} s"
-                    raise ValueError(
-                        f"it says {told}; it must be 1 to {recipe.updates}, in 0 s or more"
-                    )
+            state = self._folder.restore()
+            if state:
+                check_progress(state, recipe.updates)
                 self._eye.load_state_dict(state["weights"])
+                check_moments(state, self._eye.parameters())
+                self.n_updates = state["updates"]
+                self._spent_s = state["processor_s"]
+                # the recipe's groups, whatever the file says
+                groups = self.optimizer.state_dict()["param_groups"]
                 moments = state["optimizer"]["state"]
-                for place, weight in enumerate(self._eye.parameters()):
-                    wanted = {
-                        "step": torch.tensor(float(self.n_updates)),
-                        "exp_avg": weight,
-                        "exp_avg_sq": weight,
-                    }
-                    held = moments.get(place, {})
-                    if wrong := [
-                        name for name in wanted if not _alike(held.get(name), wanted[name])
-                    ]:
-                        raise ValueError(
-                            f"weight {place} or its {wrong[0]} is not that of {self.n_updates} "
-                            f"updates"
-                        )
-                groups = self.optimizer.state_dict()[
-                    "param_groups"
-                ]  # the recipe's, whatever the file says
                 self.optimizer.load_state_dict({"state": moments, "param_groups": groups})
 
     @property
@@ -236,9 +158,8 @@ class Training:
         """
         recipe, losses = self.recipe, []
         shown = RenderedImages(recipe, self.n_updates)
-        context = (
-            "spawn" if recipe.workers else None
-        )  # a process that is forked from one that uses CUDA cannot
+        # a process that is forked from one that uses CUDA cannot use it
+        context = "spawn" if recipe.workers else None
         for images, place in DataLoader(
             shown, None, num_workers=recipe.workers, multiprocessing_context=context
         ):
@@ -272,9 +193,8 @@ class Training:
                 f"the loss of update {self.n_updates} is {value}; lower learning_rate"
             )
         progress = self.n_updates / self.recipe.updates
-        rate = min(1.0, (self.n_updates + 1) / WARMUP_UPDATES) * (
-            0.02 + 0.49 * (1 + math.cos(math.pi * progress))
-        )
+        cosine = FINAL_LR_SHARE + (1 - FINAL_LR_SHARE) / 2 * (1 + math.cos(math.pi * progress))
+        rate = min(1.0, (self.n_updates + 1) / WARMUP_UPDATES) * cosine
         for group in self.optimizer.param_groups:
             group["lr"] = self.recipe.learning_rate * rate
         self.optimizer.zero_grad()
