@@ -66,8 +66,7 @@ def adopt(config: ObActConfig, meta: Any) -> TargetTable | None:
     if config.pretrained_path and forecast_before and not config.forecasts:
         raise ValueError(
             f"{config.pretrained_path} learned to forecast the target, but from {meta.repo_id} it "
-            "would learn actions alone, by another network; train from random weights, or on a "
-            "dataset with the target's path (dynahoi generate --actor)"
+            f"would learn actions alone, by another network: {_why_no_forecast(config, meta)}"
         )
     if not config.forecasts:
         config.embodiment = replace(config.embodiment, capture="")
@@ -80,6 +79,22 @@ def adopt(config: ObActConfig, meta: Any) -> TargetTable | None:
     features = config.input_features or {}
     config.input_features = {key: x for key, x in features.items() if key in read}
     return TargetTable.of(meta, config.embodiment)
+
+
+def _why_no_forecast(config: ObActConfig, meta: Any) -> str:
+    """Return why a policy that forecast before cannot go on so."""
+    if config.embodiment.capture:
+        return (
+            f"forecast_weight is {config.forecast_weight} and freeze_encoder is "
+            f"{config.freeze_encoder}, but must be above 0 and true"
+        )
+    captures = columns_of(meta, EPISODES, {CAPTURE}).get(CAPTURE)
+    if captures and captures[0] == CONTACT:
+        return "its targets must be gripped, and training by contact is not offered"
+    return (
+        "it has no target's path, or displacements as actions; train on one that has the path, as "
+        "dynahoi generate writes it, or from random weights"
+    )
 
 
 def _warn(config: ObActConfig, meta: Any, reason: str) -> None:
@@ -236,7 +251,7 @@ class TargetTable:
 
     path: Tensor  # of the untouched target [m], (E, F, 3)
     length: Tensor  # known frames of that, (E,)
-    free: Tensor  # the frame in which the recorded hand has caught it, (E,)
+    catch: Tensor  # the frame in which the recorded hand has caught it, (E,)
     begin: Tensor  # the frame in which the hand may move, (E,)
     first_index: Tensor  # of the dataset, of the frames of an episode, (E,)
     # in the loss, of a window, (E,): less in episodes with more windows, so that all count alike
@@ -257,7 +272,7 @@ class TargetTable:
             )
         paths = [torch.tensor(np.array(path, np.float32)) for path in constants[TARGET_PATH]]
         flags = torch.tensor(truth[LOCALIZED]).split(count.tolist())
-        free = torch.tensor([int((~held).cumprod(0).sum()) for held in flags])
+        catch = torch.tensor([int((~held).cumprod(0).sum()) for held in flags])
         open_joints, closed_joints = (
             torch.tensor(constants[name], dtype=torch.float32).quantile(CLOSED_QUANTILE, dim=0)
             for name in (OPEN_JOINTS, CLOSED_JOINTS)
@@ -265,10 +280,10 @@ class TargetTable:
         return cls(
             path=torch.nn.utils.rnn.pad_sequence(paths, batch_first=True),
             length=torch.tensor([len(path) for path in paths]),
-            free=free,
+            catch=catch,
             begin=torch.tensor([frames or 0 for frames in table[WINDOW]], dtype=torch.long),
             first_index=count.cumsum(0) - count,
-            weight=free.float().mean() / free.clamp_min(1),
+            weight=catch.float().mean() / catch.clamp_min(1),
             teacher=Teacher(
                 fps=embodiment.fps,
                 step_m=embodiment.step_m,
@@ -289,5 +304,5 @@ class TargetTable:
         frame = first[:, None] + torch.arange(n_frames + LONGEST_FRAMES)
         inside = torch.minimum(frame.clamp_min(0), length[:, None] - 1)
         path = self.path[episode[:, None], inside]
-        targets = Targets(path, length - first, self.free[episode] - first)
+        targets = Targets(path, length - first, self.catch[episode] - first)
         return targets, self.begin[episode] - first

@@ -358,8 +358,9 @@ def test_the_closed_loop_counts_once_it_has_imitated(hand_root):
 def test_episodes_count_alike_however_many_windows_show_them(hand_root):
     policy = learner(hand_root, virtual_share=0.0, n_hands=2)
     targets, batch, losses = policy.targets, batch_of(policy, hand_root), []
-    assert targets.free.unique().numel() > 1
-    torch.testing.assert_close(targets.weight * targets.free, targets.free.float().mean().expand(4))
+    assert targets.catch.unique().numel() > 1
+    mean = targets.catch.float().mean()
+    torch.testing.assert_close(targets.weight * targets.catch, mean.expand(4))
     for of_first in (1.0, 3.0):
         weight = torch.ones(4)
         weight[batch["episode_index"][0]] = of_first
@@ -897,6 +898,23 @@ def test_what_learned_from_the_targets_path_is_not_trained_where_there_is_none(
     monkeypatch.setattr(dataset, "embodiment_of", lambda meta, cameras: Embodiment())
     meta = LeRobotDatasetMetadata("local/other", root=hand_root)
     with pytest.raises(ValueError, match="ours learned to forecast the target, but from local"):
+        ObActPolicy(config, dataset_meta=meta)
+
+
+def test_training_by_contact_is_not_offered(hand_root: Path, monkeypatch):
+    config = learner(hand_root).config
+    config.pretrained_path = Path("ours")
+    columns_of = dataset.columns_of
+
+    def by_contact(meta, folder: str, wanted) -> dict:
+        columns = columns_of(meta, folder, wanted)
+        if "capture" in columns:
+            columns["capture"] = ["contact"] * len(columns["capture"])
+        return columns
+
+    monkeypatch.setattr(dataset, "columns_of", by_contact)
+    meta = LeRobotDatasetMetadata("local/contact", root=hand_root)
+    with pytest.raises(ValueError, match="must be gripped, and training by contact is not offered"):
         ObActPolicy(config, dataset_meta=meta)
 
 
