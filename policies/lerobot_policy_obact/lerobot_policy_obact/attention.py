@@ -13,7 +13,8 @@ from torch import Tensor, nn
 AGE_STEP_S = 0.05
 N_AGES = 128
 """A bias by age is learned at this many ages, this far apart, and interpolated between them: up to
-6.35 s, and the same for all that is older."""
+6.35 s, and the same for all that is older, which only policies that look back farther see (those
+that ship, up to 200 frames). Not tuned."""
 SAME_TIME_S = 1e-3
 """Frames whose times differ by less are of the same time; none is as fast."""
 REACH_CELLS = 2
@@ -23,7 +24,7 @@ KEY_DIM = 16  # of a readout, which tells few frames apart
 FIRST_AGES = 24
 FIRST_DECAY = 0.3
 """Readouts begin by looking at ages spread over this many steps, with a bias that falls by so much
-for each step from there."""
+for each step from there: at the last 1.2 s, each at a few frames of its own. Not tuned."""
 
 
 class SpatialAttention(nn.Module):

@@ -6,7 +6,7 @@ from typing import Self
 import torch
 from torch import Tensor, nn
 
-NEAREST_M = 0.01  # what is behind a camera counts as this far in front of it
+LEAST_DEPTH_M = 0.01  # what is behind a camera counts as this far in front of it
 UNIT_PER_DISTANCE = 1.5
 """Depth whose logarithm counts as 0, in distances of the camera from the palm at home."""
 LOG_DEPTHS = (-4.0, 3.0)
@@ -71,7 +71,7 @@ class Pinhole(nn.Module):
     def seen(self, place: Tensor) -> Tensor:
         """Invert `place`."""
         local = (place - self.pos) @ self.axes.T
-        depth = local[..., 2:].clamp_min(NEAREST_M)
+        depth = local[..., 2:].clamp_min(LEAST_DEPTH_M)
         return torch.cat(
             [local[..., :2] / (depth * self.half_view), (depth / self.unit_m).log()], dim=-1
         )

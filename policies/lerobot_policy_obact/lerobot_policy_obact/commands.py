@@ -26,8 +26,9 @@ class CommandBuffer:
     def due(self, palms: Tensor, frame: int, inference_delay: int) -> Tensor:
         """Return where palms will be when the next command takes effect [m], ``(B, 3)``.
 
-        Commands on their way, cut to the palm's speed, say so while the palm does what it is told.
-        One that is held, as in an observation window, is taken to stay.
+        Until then a palm goes where the commands send it that were given, but have no effect yet,
+        in each frame as far as its speed allows. A palm that is held, as in an observation window,
+        stays: it did not go where the command that took effect last sent it.
 
         Args:
             palms: where they were in the last frames [m], ``(B, T, 3)``.

@@ -75,7 +75,8 @@ class ObActConfig(PreTrainedConfig):
     """Observe before act (DynaHOI, Section 4): what was observed conditions a generative action
     head.
 
-    The defaults are those of a dataset of DynaHOI. For others, `README.md` says what to change.
+    The defaults suit any dataset. For one of DynaHOI, the command in `README.md` sets
+    ``n_obs_steps``, ``n_future_steps`` and ``n_hands`` as well, for the closed loop.
     """
 
     n_obs_steps: int = 6  # frames that a sample of the training shows, up to the current one
@@ -117,7 +118,9 @@ class ObActConfig(PreTrainedConfig):
     forecast_weight: float = 1.0
     """Weight of the loss of the forecast; 0 learns the recorded actions alone, without the target's
     path."""
-    closed_loop_weight: float = 4.0  # weight of the loss of palms that are rolled out, see `losses`
+    closed_loop_weight: float = 4.0
+    """Weight of the loss of palms that are rolled out, see `losses`; with 10 that loss became no
+    smaller."""
     imitation_steps: int = 150
     """Steps before that loss counts: hands led by random weights would teach little."""
     ema_decay: float = 0.995  # of the average of the weights, which acts
@@ -185,6 +188,8 @@ class ObActConfig(PreTrainedConfig):
     def grips(self) -> bool:
         """Whether the target must be gripped; the head then also reads how far each joint is
         closed.
+
+        Only the checkpoint `obact_contact`, which ships, does: no training by contact is offered.
         """
         return self.forecasts and self.embodiment.capture == CONTACT
 

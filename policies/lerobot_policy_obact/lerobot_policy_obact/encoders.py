@@ -32,7 +32,7 @@ READ_WIDTH = 128  # of the hidden layer that reads a sighting
 
 class Encoder(nn.Module):
     """Cells of a grid, and what is seen at the place that the attention finds; a subclass says what
-    the `cells` are.
+    the `cells` are, or, if it looks otherwise, how, in place of `look`.
 
     Args:
         dim: features of a cell.
@@ -98,7 +98,7 @@ PIXEL_STD = (0.25, 0.25, 0.25, 0.25, 0.1, 0.1, 0.1)
 
 
 class Eye(Encoder):
-    """Glance and fovea.
+    """Glance and fovea: `look` is its own, and reads the fovea beside the cells of the glance.
 
     Args:
         embedding: see `Encoder`.
@@ -127,6 +127,7 @@ class Eye(Encoder):
             conv(len(PIXEL_MEAN), 16), conv(16, 32, stride=2), conv(32, 64, stride=2), nn.Flatten(),
             nn.Linear(64 * math.ceil(fovea / 4) ** 2, READ_WIDTH), nn.SiLU(),
         )  # fmt: skip
+        # in place of the one that reads cells alone, whose random numbers are drawn all the same
         self.read = perceptron(READ_WIDTH + 3 * channels + 2, READ_WIDTH, N_SIGHTING + embedding)
 
     def load_pretrained(self) -> None:

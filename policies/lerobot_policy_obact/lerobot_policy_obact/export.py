@@ -19,9 +19,8 @@ def export(checkpoint: Path, out: Path) -> None:
     Its ``ema_decay`` is 0, since there is nothing left to average.
     """
     policy = ObActPolicy.from_pretrained(checkpoint).to("cpu")
-    policy.config.device = (
-        "cpu"  # where every machine can load it, which that of the training need not be
-    )
+    # where every machine can load it, which that of the training need not be
+    policy.config.device = "cpu"
     policy.keep_average()
     policy.config.pretrained_path = None  # a place on this machine
     policy.save_pretrained(out)

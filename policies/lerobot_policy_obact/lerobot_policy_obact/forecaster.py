@@ -23,13 +23,14 @@ from .frames import Frames, Record, gather_frames
 from .layers import perceptron
 
 FORECAST_FRAMES = (0, 1, 2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48)
-"""Frames ahead at which the target's position is forecast."""
+"""Frames ahead at which the target's position is forecast: every one at first, then about a third
+farther each. Not tuned."""
 PLACE_M = 0.3
 RAY_M = 0.4
 POINT_M = 0.1
 """Units in which places, their offsets from the camera and differences between points enter the
 network: about their standard deviations."""
-FAR = 8.0  # inputs are cut to this many units: what is farther off is an error of the eye
+MOST_UNITS = 8.0  # inputs are cut to this many units: what is farther off is an error of the eye
 LOG_ERRORS = (-6.0, 3.0)
 LOG_ERROR_UNIT = 3.0
 """Log scales of a sighting enter the network between these, in this unit: 0.2 % of the distance is
@@ -37,7 +38,9 @@ less than a pixel, and twenty times the distance says that nothing was seen."""
 BLIND_LOG_ERROR = 2.0
 """Where scales enter as numbers, they are cut here: seven times the distance is no knowledge."""
 LEAST_M = 1e-3  # distances and errors are at least this, so that none outvotes all others
-BEND_WIDTH = 256  # of the hidden layer of that correction
+BEND_WIDTH = 256
+"""Of the hidden layers of the network's correction of the forecast, whatever `ObActConfig.width`,
+that of what the head reads, is. Not tuned."""
 UNCALIBRATED = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
 """Calibration, see `Embodiment`, of a camera that sees rays of unit depth from the origin."""
 
@@ -57,7 +60,8 @@ class GrowingUnit:
 
 
 BEND = GrowingUnit(0.03, 0.5)
-"""Of the network's correction of the forecast: at first the eye's error, then half a palm's way."""
+"""Of the network's correction of the forecast: at first about the eye's error, then half a meter
+more for every second. Not tuned."""
 
 
 @dataclass(frozen=True)
@@ -161,7 +165,7 @@ class Forecaster(nn.Module):
             differences = rearrange((points - anchor) / POINT_M, "b q j i -> b q (j i)")
             combined = rearrange(self.linear(differences), "b q (k i) -> b q k i", i=3)
             base = anchor + POINT_M * combined
-            features = torch.cat([decisions, differences.clamp(-FAR, FAR)], dim=-1)
+            features = torch.cat([decisions, differences.clamp(-MOST_UNITS, MOST_UNITS)], dim=-1)
         bend = rearrange(self.bend(features), "b q (k i) -> b q k i", i=3)
         return base + bend * BEND.at(self.ahead_s)[:, None]
 
@@ -178,11 +182,11 @@ def _inputs(sightings: Tensor, rays: Tensor, place: Tensor) -> Tensor:
     by_camera = [
         scales.clamp(*LOG_ERRORS) / LOG_ERROR_UNIT,
         scales[..., :1].clamp_max(BLIND_LOG_ERROR).exp(),
-        (rays / RAY_M).clamp(-FAR, FAR),
+        (rays / RAY_M).clamp(-MOST_UNITS, MOST_UNITS),
     ]
     seen = torch.cat(by_camera, dim=-1).flatten(2)
     embedding = sightings[..., N_SIGHTING:].flatten(2)
-    return torch.cat([(place / PLACE_M).clamp(-FAR, FAR), seen, embedding], dim=-1)
+    return torch.cat([(place / PLACE_M).clamp(-MOST_UNITS, MOST_UNITS), seen, embedding], dim=-1)
 
 
 def fused(eyes: Tensor, rays: Tensor, scales: Tensor) -> Tensor:

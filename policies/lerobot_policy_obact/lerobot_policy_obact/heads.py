@@ -18,7 +18,7 @@ from einops import rearrange, repeat
 from lerobot.policies.common.flow_matching import euler_integrate
 from torch import Tensor, nn
 
-DRAWS = 2  # noise levels at which each action of a batch is denoised
+NOISE_LEVELS = 2  # levels at which each action of a batch is denoised
 PURE_NOISE_SHARE = 0.5  # share of those at pure noise, where sampling begins
 # deviations are clipped to this many scales: an outlier would teach nothing but its own size
 LARGEST_DEVIATION = 6.0
@@ -102,8 +102,13 @@ class DiffusionDenoiser(FlowDenoiser):
         return self(signal * target + spread * noise, t, context) - target
 
     def velocity(self, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
-        """See `FlowDenoiser.velocity`."""
-        own = 2 / torch.pi * torch.atan2(t, 1 - t)  # its own time, at which the signal's share is t
+        """See `FlowDenoiser.velocity`.
+
+        On the linear path ``x = t target + (1 - t) noise`` the velocity ``target - noise`` is
+        ``(target - x) / (1 - t)``, and the network says what the target is. It expects ``sin(a)
+        target + cos(a) noise``, which is ``x (sin(a) + cos(a))`` where ``tan(a) = t / (1 - t)``.
+        """
+        own = 2 / torch.pi * torch.atan2(t, 1 - t)  # its own time, a in units of pi / 2
         signal, spread = _mixing(own)
         return (self(x * (signal + spread), own, context) - x) / (1 - t)[:, None, None]
 
@@ -121,13 +126,13 @@ class ActionHead(nn.Module):
         denoiser: how; None for regression alone.
         context: numbers of a context.
         horizon: actions of a chunk, H.
-        groups: sizes of the groups of an action's entries that are scaled together (palm, fingers),
-            of sum A.
+        groups: sizes of the groups of an action's entries that are scaled together, of sum A: the
+            palm and the fingers; one of all where actions are not relative to the palm.
         width: of the denoiser.
         n_steps: sampling steps.
-        n_draws: chunks sampled for a decision; the palm follows their median.
-        closing_quantile: of the draws, for the fingers: above 0.5 they rather close too early than
-            too late.
+        n_draws: chunks sampled for a decision; the first group follows their median.
+        closing_quantile: of the draws, for the other group, the fingers: above 0.5 they rather
+            close too early than too late.
     """
 
     def __init__(
@@ -187,12 +192,12 @@ class ActionHead(nn.Module):
             return loss
         deviation = (actions - mean.detach()) / self._unit(log_scale).detach()
         deviation = deviation.clamp(-LARGEST_DEVIATION, LARGEST_DEVIATION)
-        target = repeat(deviation, "r h a -> (r n) h a", n=DRAWS)
+        target = repeat(deviation, "r h a -> (r n) h a", n=NOISE_LEVELS)
         t = torch.rand(len(target), device=target.device)
         t = torch.where(torch.rand_like(t) < PURE_NOISE_SHARE, 0.0, t)
-        contexts = repeat(context, "r c -> (r n) c", n=DRAWS)
+        contexts = repeat(context, "r c -> (r n) c", n=NOISE_LEVELS)
         error = self.denoiser.error(target, torch.randn_like(target), t, contexts)
-        error = rearrange(error.square().mean(-1), "(r n) h -> r n h", n=DRAWS)
+        error = rearrange(error.square().mean(-1), "(r n) h -> r n h", n=NOISE_LEVELS)
         return loss + (error * weight[:, None]).mean((1, 2))
 
     def _unit(self, log_scale: Tensor) -> Tensor:
@@ -213,8 +218,8 @@ class ActionHead(nn.Module):
         start = repeat(noise, "n h a -> (r n) h a", r=len(context))
         draws = self.denoise(repeat(context, "r c -> (r n) c", n=n), start, self.n_steps)
         draws = rearrange(draws, "(r n) h a -> n r h a", n=n).sort(dim=0).values
-        palm, rest = draws.split([self.groups[0], self.action_dim - self.groups[0]], dim=-1)
-        return torch.cat([palm[n // 2], rest[int(n * self.closing_quantile)]], dim=-1)
+        first, rest = draws.split([self.groups[0], self.action_dim - self.groups[0]], dim=-1)
+        return torch.cat([first[n // 2], rest[int(n * self.closing_quantile)]], dim=-1)
 
     def denoise(self, context: Tensor, start: Tensor, n_steps: int) -> Tensor:
         """Return the chunks ``(R, H, A)`` that noise ``start`` ``(R, H, A)`` becomes in contexts

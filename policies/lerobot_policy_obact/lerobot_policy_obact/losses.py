@@ -2,9 +2,10 @@
 
 A decision is compared with the answer of a teacher that knows the future (`decision_losses`). But
 nothing in imitation tells a policy that a forecast which is wrong now will be less wrong in five
-frames. So from a frame on the palm alone is rolled out through the head, each command cut to what a
-palm does in a frame, and what counts is how near it comes to catching the target
-(`closed_loop_loss`). What is seen meanwhile stays what the hand saw that was there. Training only.
+frames. So from some frame on a palm is moved by what the head decides in each frame, as far as its
+speed allows, and what counts is how near it comes to catching the target (`closed_loop_loss`). Only
+the palm is played: the forecasts that the head reads are from the sightings of the window, those of
+another hand, and do not change with where the palm gets to. Training only.
 """
 
 from __future__ import annotations
@@ -25,17 +26,22 @@ from .windows import Window
 UNREACHABLE_WEIGHT = 0.1  # weight of what should be done about a target that is out of reach
 MISSED_WEIGHT = 10.0
 """Weight in the loss of the distance from the place that attention picks from the forecast to the
-right one [1/m]."""
+right one [1/m]: 10 cm count as one. Not tuned."""
 FORECAST_M, FORECAST_M_S = 0.05, 0.3
 """Errors of the forecast count in units of this much, and so much more for every second ahead: what
 lies farther ahead can be known less well."""
 INTERCEPT_WEIGHT = 10.0  # weight of the error of the forecast near the intercept [1/m]
 INTERCEPT_SPREAD = 0.25  # times are near an intercept within this share of the time left until then
-RIM, SOFTNESS = 0.9, 0.27
-"""The closed loop's loss is a smooth step at this share of the radius within which a target is
-caught, so wide in radii; a palm at the rim itself counts for 0.6."""
-FAR_M, FAR_WEIGHT, FARTHEST = 0.1, 0.3, 2.0
-"""And a part of the distance, in this unit, at most so many, which leads palms that are far off."""
+RIM = 0.9
+SOFTNESS = 0.27
+"""The closed loop's loss is a smooth step: a sigmoid of the distance in radii within which a target
+is caught, around the first number, with the second as its width. A palm at the rim itself counts
+for 0.6."""
+DISTANCE_UNIT_M = 0.1
+DISTANCE_WEIGHT = 0.3
+LARGEST_DISTANCE = 2.0
+"""To the step comes the distance in this unit, with this weight and at most so many units, which
+leads palms that are far off. Not tuned, as the step is not."""
 LEAST_ROLLED = 4  # frames through which a palm is rolled out, at least, if a window has as many
 
 
@@ -43,10 +49,11 @@ def window_losses(model: ObActModel, window: Window, teacher: Teacher | None) ->
     """Return the losses of windows, ``(B,)`` each; without a teacher that of the recorded actions
     alone.
     """
-    config, n = model.config, window.recorded.shape[1]
+    config = model.config
+    n_frames = window.recorded.shape[1]
     now = torch.full_like(window.begin, config.n_obs_steps - 1)[:, None]
     if teacher is None or window.targets is None:
-        palm = window.frames.palm[:, now[0]]
+        palm = gather_frames(window.frames.palm, now)
         state = gather_frames(window.frames.state, now)
         decisions = Decisions(
             palm[:, :, None],
@@ -56,15 +63,17 @@ def window_losses(model: ObActModel, window: Window, teacher: Teacher | None) ->
         )
         return decision_losses(model, model.encode_history(window.frames, now), decisions)
     late, targets = config.embodiment.delay_frames, window.targets
-    last = torch.minimum(targets.free, targets.length - 2).clamp_max(n) - 1 - late
+    # the last decision takes effect before the catch, in the window, and with two known frames of
+    # the target's path, in which to meet it, still to come
+    last = torch.minimum(targets.free, targets.length - 2).clamp_max(n_frames) - 1 - late
     spread = torch.rand(len(now), config.n_decisions, device=now.device)
     rows = now + (spread * (last[:, None] - now + 1).clamp_min(0)).long()
-    latest = max(config.n_obs_steps, n - LEAST_ROLLED) - 1
+    latest = max(config.n_obs_steps, n_frames - LEAST_ROLLED) - 1
     first = window.begin[:, None].clamp(min=now).clamp_max(latest)
     rolled = first + torch.arange(config.n_future_steps, device=now.device)
-    rolled = rolled.clamp_max(n - 1)
-    seen = torch.cat([rows, rolled], dim=1) if config.n_future_steps else rows
-    forecast = model.encode_history(window.frames, seen)
+    rolled = rolled.clamp_max(n_frames - 1)
+    decided = torch.cat([rows, rolled], dim=1) if config.n_future_steps else rows
+    forecast = model.encode_history(window.frames, decided)
     decisions = decisions_at(window, rows, teacher, config)
     losses = decision_losses(model, forecast[:, : config.n_decisions], decisions)
     if config.n_future_steps and config.closed_loop_weight:
@@ -108,6 +117,7 @@ def decisions_at(window: Window, rows: Tensor, teacher: Teacher, config: ObActCo
     assert targets is not None
     last = window.recorded.shape[1] - 1
     palm = gather_frames(window.frames.palm, (rows + late).clamp_max(last))
+    # at the latest in the last frame but one that is known: a teacher looks a frame ahead
     due = torch.minimum(rows + late, targets.length[:, None] - 2)
     palms = teacher.palms(targets, due, palm)
     answers = teacher.answer(targets, due, palms, config.horizon)
@@ -143,7 +153,9 @@ def decision_losses(
     model: ObActModel, forecast: Forecast, decisions: Decisions
 ) -> dict[str, Tensor]:
     """Return the losses of forecast and action by window, ``(B,)`` each."""
-    losses, n, m = {}, len(forecast.features), decisions.palm.shape[2]
+    losses = {}
+    n_windows = len(forecast.features)
+    n_palms = decisions.palm.shape[2]
     if decisions.future is not None:
         losses["forecast"] = decisions.future.loss(forecast.places, model.forecaster.ahead_s)
     palm, state, actions, weight = (
@@ -151,16 +163,16 @@ def decision_losses(
         for x in (decisions.palm, decisions.state, decisions.actions, decisions.weight)
     )
     forecast = replace(forecast, attention=None).map(
-        lambda x: repeat(x, "b q ... -> (b q m) ...", m=m)
+        lambda x: repeat(x, "b q ... -> (b q m) ...", m=n_palms)
     )
     context, origin = model.condition(forecast, palm, state)
     # (B * Q * M,)
     loss = model.head.loss(context, model.normalise(actions, origin.detach()), weight)
-    losses["action"] = rearrange(loss, "(b n) -> b n", b=n).mean(1)
+    losses["action"] = rearrange(loss, "(b n) -> b n", b=n_windows).mean(1)
     if decisions.future is not None:
         # by the place that was picked
         missed = ((palm_of(actions) - origin).square().sum(-1) + 1e-8).sqrt()
-        missed = rearrange((missed * weight).mean(-1), "(b n) -> b n", b=n)
+        missed = rearrange((missed * weight).mean(-1), "(b n) -> b n", b=n_windows)
         losses["missed"] = MISSED_WEIGHT * missed.mean(1)
     return losses
 
@@ -176,15 +188,18 @@ def closed_loop_loss(
     """
     targets, late = window.targets, model.config.embodiment.delay_frames
     assert targets is not None
-    n, device = window.recorded.shape[1], rows.device
+    n_frames = window.recorded.shape[1]
+    device = rows.device
     due = rows[:, :1] + late + torch.arange(rows.shape[1] + 1, device=device)  # (B, R + 1)
-    known = (due[:, :-1] < targets.length[:, None] - 1) & (due[:, :-1] < n)
+    # a palm passes the target between a frame and the next one, which must be known as well
+    known = (due[:, :-1] < targets.length[:, None] - 1) & (due[:, :-1] < n_frames)
     path = gather_frames(targets.path, due.clamp_max(targets.path.shape[1] - 1))
-    palm = gather_frames(window.frames.palm, due[:, :1].clamp_max(n - 1))
+    palm = gather_frames(window.frames.palm, due[:, :1].clamp_max(n_frames - 1))
     state = gather_frames(window.frames.state, rows[:, 0])
     way = rolled_out(model, forecast, palm, state)
     misses = teacher.misses(way - path)  # (B, R)
     least = misses.masked_fill(~known, torch.inf).amin(1)
     least = least.where(least.isfinite(), 0.0)
     step = torch.sigmoid((least / teacher.radius_m - RIM) / SOFTNESS)
-    return (step + FAR_WEIGHT * (least / FAR_M).clamp_max(FARTHEST)) * known.any(1)
+    distance = (least / DISTANCE_UNIT_M).clamp_max(LARGEST_DISTANCE)
+    return (step + DISTANCE_WEIGHT * distance) * known.any(1)

@@ -230,9 +230,9 @@ class ObActPolicy(PreTrainedPolicy):
     def select_action(self, batch: Batch, **kwargs: Any) -> Tensor:
         """Return the next action of every environment, ``(B, A)``; call it once per control step.
 
-        A frame is as old as its ``timestamp`` says, or, if the batch has none, as calls at
-        ``embodiment.fps`` say. While actions are queued, a frame that is shown again counts once:
-        the world stands still until they have been read.
+        A frame is as old as its ``timestamp`` says, that of the first environment for all, or, if
+        the batch has none, as calls at ``embodiment.fps`` say. While actions are queued, a frame
+        that is shown again counts once: the world stands still until they have been read.
         """
         self.eval()
         if not (self._action_queue and self._is_shown_again(batch)):
@@ -289,23 +289,30 @@ class ObActPolicy(PreTrainedPolicy):
     def _note(self, batch: Batch, step_s: float, *, live: bool) -> None:
         """Add a frame that is, without ``timestamp``, ``step_s`` later than the one before, or, if
         the caller is ``live``, as old as the wall clock says, in ticks.
-
-        LeRobot's real-time chunking hands over a frame twice if it asks faster than that: it counts
-        once. After `reset` it hands over the last frame of the previous episode, which is forgotten
-        when another one comes.
         """
         self.eval()
         now_s = time.monotonic() if live else self._history.now_s + step_s
         if live and "timestamp" not in batch:
-            again = self._is_shown_again(batch)
-            if again and self._history.newest >= 0:
+            if self._is_repeated_by_lerobot(batch):
                 return
-            if self._stale:
-                self.reset()
-            self._stale = again
             if self._history.newest >= 0:
                 now_s = self._history.tick(now_s, self.config.embodiment.fps)
         self._see(batch, now_s)
+
+    def _is_repeated_by_lerobot(self, batch: Batch) -> bool:
+        """Whether the history has a batch that LeRobot's real-time chunking hands over once more,
+        because it asks faster than frames come.
+
+        After `reset` it also hands over the last frame of the episode before. The policy has to act
+        on that, and forgets it here when another frame comes, with which the episode begins.
+        """
+        again = self._is_shown_again(batch)
+        if again and self._history.newest >= 0:
+            return True
+        if self._stale:
+            self.reset()
+        self._stale = again
+        return False
 
     def _is_shown_again(self, batch: Batch) -> bool:
         """Whether a batch is the one that was shown last."""
@@ -315,6 +322,8 @@ class ObActPolicy(PreTrainedPolicy):
     def _see(self, batch: Batch, time_s: float) -> None:
         """Encode the newest frame and keep it; it was seen at ``time_s`` if the batch does not say
         when.
+
+        A batch has one clock: the ``timestamp`` of environment 0 is taken for all of them.
         """
         model = self._actor
         cameras = self.config.cameras
@@ -335,6 +344,9 @@ class ObActPolicy(PreTrainedPolicy):
     def _chunk(self, inference_delay: int) -> Tensor:
         """Return the chunk for the newest frame, ``(B, H, A)``, that is there so many frames
         later.
+
+        Forecast and palm are those of the frame in which it is there, however late that is. Only
+        `CommandBuffer.give` cuts the delay to the chunk's length, of which the last action stays.
         """
         model = self._actor
         newest = self._history.newest

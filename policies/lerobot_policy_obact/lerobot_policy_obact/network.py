@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from .configuration_obact import HEADS, ObActConfig
 from .encoders import ENCODERS, Encoder
-from .forecaster import FAR, FORECAST_FRAMES, Forecast, Forecaster, GrowingUnit
+from .forecaster import FORECAST_FRAMES, MOST_UNITS, Forecast, Forecaster, GrowingUnit
 from .frames import Frames, palm_of, stepped
 from .layers import perceptron
 
@@ -25,7 +25,7 @@ Batch = dict[str, Any]
 
 OFFSET = GrowingUnit(0.1, 0.3)
 """Of where the target will be from the palm, as the head reads it: about what a palm is away from a
-target that it meets."""
+target that it meets. Not tuned."""
 N_FEATURES = 64  # numbers of a decision's token that the head reads beside the forecast
 LEAST_STD = 1e-3
 """Of an entry of state or action: one that stood still in the recordings says nothing."""
@@ -144,15 +144,16 @@ class ObActModel(nn.Module):
             return context, repeat(palm, "r i -> r h i", h=config.horizon)
         unit = OFFSET.at(self.forecaster.ahead_s)
         offset = (places - palm[:, None]) / unit[:, None]  # (R, K, 3)
-        distance = offset.norm(dim=-1).clamp_max(FAR)
+        distance = offset.norm(dim=-1).clamp_max(MOST_UNITS)
         joints = state[:, self.n_relative :] if config.grips else state[:, :0]
-        read = [offset.clamp(-FAR, FAR).flatten(1), distance, features, joints]
+        read = [offset.clamp(-MOST_UNITS, MOST_UNITS).flatten(1), distance, features, joints]
         context = self.trunk(torch.cat(read, dim=-1))
-        when = self.when(context)
-        if not config.grips:
-            weights = rearrange(when, "r (h k) -> r h k", h=config.horizon).softmax(-1)
+        logits = self.when(context)
+        if not config.grips:  # one choice of a time for all axes
+            weights = rearrange(logits, "r (h k) -> r h k", h=config.horizon).softmax(-1)
             return context, weights @ places
-        weights = rearrange(when, "r (h i k) -> r h i k", h=config.horizon, i=3).softmax(-1)
+        # for each axis, a choice of a time and of whose place then: the target's, or the palm's
+        weights = rearrange(logits, "r (h i k) -> r h i k", h=config.horizon, i=3).softmax(-1)
         along = palm[:, None] + places - places[:, :1]
         both = torch.cat([places, along], dim=1)
         return context, einsum(weights, both, "r h i k, r k i -> r h i")

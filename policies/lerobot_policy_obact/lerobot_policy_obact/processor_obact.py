@@ -5,6 +5,5 @@ The config asks for no normalization: the policy works in meters and radians.
 
 from lerobot.processor.factory import make_default_pre_post_processors
 
-make_obact_pre_post_processors = (
-    make_default_pre_post_processors  # what LeRobot looks up by this name
-)
+# LeRobot looks it up by this name
+make_obact_pre_post_processors = make_default_pre_post_processors

@@ -15,21 +15,24 @@ from torch import Tensor
 
 from .frames import Record, gather_frames
 
-NEAREST_M, FARTHEST_M = (
-    0.004,
-    0.15,
-)  # least and greatest standard deviation by which palms are moved, along each axis
-LONGEST_FRAMES = 100  # a teacher looks this far ahead for a intercept
-CLOSED_FRAMES, CLOSING_FRAMES = (
-    24,
-    8,
-)  # fingers are closed this long before the intercept, and take this long to close
+LEAST_SPREAD_M = 0.004
+GREATEST_SPREAD_M = 0.15
+"""Standard deviations, along each axis, by which palms are moved: from the last corrections to a
+target that is about to be missed. Not tuned."""
+LONGEST_FRAMES = 100  # a teacher looks this far ahead for an intercept
+CLOSED_FRAMES = 24
+"""Fingers are closed this long before the intercept, or a policy that comes to it early would be
+caught open. The expert that records closes them 16 frames before. Recordings with 24, half of them
+with perturbed palms, had S_joint 70.9 instead of 67.3, within noise (`docs/notes/experiments.md`);
+for these labels alone it was not measured."""
+CLOSING_FRAMES = 8  # which fingers take to close, as those of that expert
 PLANNED_SPEED = 0.85
 """Share of the palm's speed limit that it plans with where that suffices: a palm that needs all of
-it comes too late whenever the forecast was wrong."""
+it comes too late whenever the forecast was wrong. Not tuned."""
 SLACK = 0.5
 """Within this share of the radius the palm has met the target. Without it, a hand that trails a
-slightly faster target heads for a distant intercept instead of closing the last centimeters."""
+slightly faster target heads for a distant intercept instead of closing the last centimeters: S_loc
+was 80 instead of 85 (`docs/notes/decisions.md`)."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,9 @@ class Answers(NamedTuple):
 class Teacher:
     """Be where the target comes within a radius of the palm: at the earliest point of its path that
     is in reach.
+
+    It labels decisions of virtual hands. What the core calls a teacher is another one: the expert
+    that records, whose goals are the ``action`` of a dataset.
     """
 
     fps: float  # frame rate [Hz]
@@ -76,9 +82,8 @@ class Teacher:
         future = targets.places(frame)[:, :, None]  # (B, Q, 1, K, 3)
         known = (frame < targets.length[:, None, None])[:, :, None]
         distance = (future - palms[:, :, :, None]).norm(dim=-1)  # (B, Q, M, K)
-        late = (distance - self.step_m * ahead).masked_fill(
-            ~known, float("inf")
-        )  # what the palm is short of [m]
+        # what the palm is short of [m]
+        late = (distance - self.step_m * ahead).masked_fill(~known, float("inf"))
         slack_m = SLACK * self.radius_m
         possible, planned = (
             late <= slack_m,
@@ -112,9 +117,9 @@ class Teacher:
         """
         place = targets.places(due[..., None])[:, :, 0]
         base = torch.stack([palm, palm, palm, place], dim=2)
-        spread = NEAREST_M * (FARTHEST_M / NEAREST_M) ** torch.rand(
-            *base.shape[:3], 1, device=base.device
-        )
+        # spread evenly over the orders of magnitude
+        share = torch.rand(*base.shape[:3], 1, device=base.device)
+        spread = LEAST_SPREAD_M * (GREATEST_SPREAD_M / LEAST_SPREAD_M) ** share
         moved = base + spread * torch.randn_like(base)
         moved[:, :, 0] = palm
         return moved

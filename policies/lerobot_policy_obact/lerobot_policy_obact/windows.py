@@ -28,7 +28,7 @@ from .teacher import Targets, Teacher
 UNITS = (0.25, 0.25, 0.3)
 """Differences in (u, v, log depth) that count as one when frames are compared. What is less than
 one apart looks alike to the eye: as large, and at about the same place in the image."""
-FARTHEST_VIEW = 2.0  # |u| and |v| are cut to this: how far out of view a target is does not matter
+VIEW_LIMIT = 2.0  # |u| and |v| are cut to this: how far out of view a target is does not matter
 IN_VIEW = 1.05  # greatest |u| and |v| of a target that is at least partly in view
 CANDIDATES = 256  # frames of the batch whose errors may be taken where the window has none alike
 DEPTH_POWER, DEPTH_RATIOS = 0.8, (0.5, 2.0)
@@ -38,8 +38,8 @@ when they are taken from one distance to another: 8 % at 0.25 m and 22 % at 0.7 
 LED_SHARE = 0.7  # of the virtual hands, that the policy leads
 RECORDED_SHARE = 0.5  # of the others, that go the recorded way; the rest pursues the target
 LATER_SHARE = 0.1
-"""Of the virtual hands, whose targets are shown later on their path than they were recorded: no
-recording goes on after a miss."""
+"""Of the virtual hands: share of those who are shown a part of the target's path after the one that
+was recorded. A recording ends soon after the catch, so none shows what follows a miss."""
 LATER_M = 0.1  # standard deviation of their palms from the target, along each axis
 LATER_FRAMES = 4  # of a path that are still to come, at least, after such a window
 PUSHED_SHARE, PUSH_M, PUSH_POWER, CHANGE_SHARE = 0.5, 0.15, 1.5, 0.12
@@ -117,24 +117,24 @@ class VirtualHands:
         seen on such a way.
         """
         embodiment, (b, n) = self.config.embodiment, window.recorded.shape
-        recorded, begin, device = window.frames.palm, window.begin, window.begin.device
+        recorded_palm, begin, device = window.frames.palm, window.begin, window.begin.device
         assert window.targets is not None
         path, late = window.targets.path, embodiment.delay_frames
         spread_m = PUSH_M * torch.rand(b, 1, device=device) ** PUSH_POWER
         spread_m = spread_m * (virtual & _chance(PUSHED_SHARE, b, device))[:, None]
         near = path[:, 0] + LATER_M * torch.randn(b, 3, device=device)
-        start = torch.where(later[:, None], near, recorded[:, 0])
+        start = torch.where(later[:, None], near, recorded_palm[:, 0])
         moved = start + spread_m * torch.randn(b, 3, device=device)
-        start = torch.where((begin > 0)[:, None], recorded[:, 0], moved)
+        start = torch.where((begin > 0)[:, None], recorded_palm[:, 0], moved)
         pushes = self._pushes(spread_m, begin, n)
         follows = (_chance(RECORDED_SHARE, b, device) & ~later)[:, None]
         way = [start]
         for t in range(n - 1):
-            along = recorded[:, t + 1] + start - recorded[:, 0]
+            along = recorded_palm[:, t + 1] + start - recorded_palm[:, 0]
             goal = torch.where(follows & donors.usable[:, t + 1, None], along, path[:, t + 1])
             palm = stepped(way[-1], goal + pushes[:, t], embodiment.step_m)
             way.append(torch.where((begin + late <= t)[:, None], palm, way[-1]))
-        ways = torch.where(virtual[:, None, None], torch.stack(way, dim=1), recorded)
+        ways = torch.where(virtual[:, None, None], torch.stack(way, dim=1), recorded_palm)
         led = virtual & _chance(LED_SHARE, b, device)
         seen = self._with_palm(window, donors, ways).frames[led]
         rows = torch.arange(max(0, n - 1 - late), device=device).expand(len(seen.state), -1)
@@ -184,8 +184,9 @@ class Donors:
         self.true_there = _views(cameras, targets.path[:, :n], window.frames.palm)
         last = torch.where(usable, row, -1).amax(1, keepdim=True)
         first = torch.where(usable, row, n).amin(1, keepdim=True)
-        # frames that were not recorded have the errors of those before, mirrored in time
-        self.own = torch.where(row > last, 2 * last - row, row).maximum(first)
+        # of which frame each one would take the error: its own, or, if it was not recorded, that of
+        # one before, mirrored in time
+        self.preferred = torch.where(row > last, 2 * last - row, row).maximum(first)
 
     def seen(self, place: Tensor, palm: Tensor) -> Tensor:
         """Return sightings ``(B, L, C, 5)`` of targets at ``place`` from palms at ``palm``, ``(B,
@@ -210,19 +211,26 @@ class Donors:
         return torch.where((was[..., :2].abs().amax(-1) < IN_VIEW)[..., None], moved, seen)
 
     def _nearest(self, view: Tensor, was: Tensor) -> Tensor:
-        """Return of which frame of the batch to take the error, ``(B, L)``: the same one, else the
-        most similar one of the window, else that of some of the batch.
+        """Return of which frame of the batch to take the error, ``(B, L)``, counted through all
+        windows.
+
+        That is the preferred one, if it looked alike (less than one apart in `UNITS`); else the one
+        of the same window that looked most alike; or, if not even that looked alike, the most alike
+        of that and `CANDIDATES` frames of the batch.
         """
-        (b, n), now, then = self.usable.shape, _in_units(view), _in_units(was)
-        distance = torch.cdist(now, then).masked_fill(~self.usable[:, None], torch.inf)  # (B, L, L)
-        same, (least, best) = distance.gather(2, self.own[..., None])[..., 0], distance.min(-1)
-        donor = (
-            torch.where(same < 1, self.own, best) + n * torch.arange(b, device=view.device)[:, None]
-        )
-        lost = (same >= 1) & (least >= 1)
-        other = torch.randint(b * n, (int(lost.sum()), CANDIDATES), device=view.device)
-        apart = (then.flatten(0, 1)[other] - now[lost][:, None]).norm(dim=-1)
-        nearest, which = apart.masked_fill(~self.usable.flatten()[other], torch.inf).min(-1)
+        n_windows, n_frames = self.usable.shape
+        now = _in_units(view)
+        then = _in_units(was)
+        apart = torch.cdist(now, then).masked_fill(~self.usable[:, None], torch.inf)  # (B, L, L)
+        to_preferred = apart.gather(2, self.preferred[..., None])[..., 0]
+        least, best = apart.min(-1)
+        of_window = torch.where(to_preferred < 1, self.preferred, best)
+        donor = of_window + n_frames * torch.arange(n_windows, device=view.device)[:, None]
+        lost = (to_preferred >= 1) & (least >= 1)
+        size = (int(lost.sum()), CANDIDATES)
+        other = torch.randint(n_windows * n_frames, size, device=view.device)
+        to_other = (then.flatten(0, 1)[other] - now[lost][:, None]).norm(dim=-1)
+        nearest, which = to_other.masked_fill(~self.usable.flatten()[other], torch.inf).min(-1)
         found = other.gather(1, which[:, None])[:, 0]
         donor[lost] = torch.where(nearest < least[lost], found, donor[lost])
         return donor
@@ -236,7 +244,7 @@ def _views(cameras: list[Pinhole], place: Tensor, palm: Tensor) -> Tensor:
 
 
 def _in_units(view: Tensor) -> Tensor:
-    cut = view[..., :2].clamp(-FARTHEST_VIEW, FARTHEST_VIEW)
+    cut = view[..., :2].clamp(-VIEW_LIMIT, VIEW_LIMIT)
     return torch.cat([cut, view[..., 2:]], dim=-1) / view.new_tensor(UNITS)
 
 
