@@ -1,9 +1,12 @@
-"""Pinhole cameras: between (u, v, log depth) in an image and positions relative to the palm."""
+"""Pinhole cameras: between (u, v, log depth) in an image and positions relative to the palm, and
+where several of them together place a target.
+"""
 
 import math
 from typing import Self
 
 import torch
+from einops import einsum
 from torch import Tensor, nn
 
 LEAST_DEPTH_M = 0.01  # what is behind a camera counts as this far in front of it
@@ -12,6 +15,12 @@ UNIT_PER_DISTANCE = 1.5
 LOG_DEPTHS = (-4.0, 3.0)
 """Log depths are cut to these, from 2 % of that depth to twenty times as far: an eye that has seen
 nothing may say anything."""
+LOG_ERRORS = (-6.0, 3.0)
+"""Log scales of a sighting's errors are cut to these: 0.2 % of the distance is less than a pixel,
+and twenty times the distance says that nothing was seen."""
+BLIND_LOG_ERROR = 2.0
+"""Where scales count as numbers, they are cut here: seven times the distance is no knowledge."""
+LEAST_M = 1e-3  # distances and errors are at least this, so that none outvotes all others
 
 
 class Pinhole(nn.Module):
@@ -75,3 +84,24 @@ class Pinhole(nn.Module):
         return torch.cat(
             [local[..., :2] / (depth * self.half_view), (depth / self.unit_m).log()], dim=-1
         )
+
+
+def fused(eyes: Tensor, rays: Tensor, scales: Tensor) -> Tensor:
+    """Return where the cameras together place the target [m], ``(B, T, 3)``: each counts by what it
+    is sure of.
+
+    A camera's error is taken to be Gaussian with the ``scales`` ``(B, T, C, 2)`` it reports, across
+    and along its line of sight, so the lines of sight of two cameras cross where both are precise.
+    See `Forecaster.sighted` for the other arguments.
+    """
+    if eyes.shape[2] == 1:
+        return (eyes + rays)[:, :, 0]
+    distance = rays.norm(dim=-1, keepdim=True).clamp_min(LEAST_M)
+    errors_m = scales.clamp(LOG_ERRORS[0], BLIND_LOG_ERROR).exp() * distance
+    across, along = (errors_m.clamp_min(LEAST_M) ** -2)[..., None].unbind(-2)  # (B, T, C, 1)
+    sight = rays / distance
+    line = einsum(sight, sight, "... i, ... j -> ... i j")
+    plane = torch.eye(3, device=line.device) - line
+    precision = across[..., None] * plane + along[..., None] * line  # (B, T, C, 3, 3)
+    weighted = precision @ (eyes + rays)[..., None]
+    return torch.linalg.solve(precision.sum(2), weighted.sum(2))[..., 0]

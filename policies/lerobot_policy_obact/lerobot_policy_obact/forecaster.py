@@ -1,7 +1,7 @@
 """From the observation history to a forecast: where the target is seen, and where it will be.
 
 sighted     places that each camera saw, in the frame of the state
-fused       one place a frame: each camera counts by what it is sure of
+fused       one place a frame: each camera counts by what it is sure of (`camera`)
 tokens      of frames, with causal attention over them (`attention`)
 readout     places sighted earlier, averaged by attention, and a forecast that combines these
 """
@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 import torch
-from einops import einsum, rearrange, repeat
+from einops import rearrange, repeat
 from torch import Tensor, nn
 
 from .attention import PositionReadout, TemporalBlock
-from .camera import Pinhole
+from .camera import BLIND_LOG_ERROR, LOG_ERRORS, Pinhole, fused
 from .configuration_obact import ObActConfig
 from .encoders import N_SIGHTING
 from .frames import Frames, Record, gather_frames
@@ -31,13 +31,7 @@ POINT_M = 0.1
 """Units in which places, their offsets from the camera and differences between points enter the
 network: about their standard deviations."""
 MOST_UNITS = 8.0  # inputs are cut to this many units: what is farther off is an error of the eye
-LOG_ERRORS = (-6.0, 3.0)
-LOG_ERROR_UNIT = 3.0
-"""Log scales of a sighting enter the network between these, in this unit: 0.2 % of the distance is
-less than a pixel, and twenty times the distance says that nothing was seen."""
-BLIND_LOG_ERROR = 2.0
-"""Where scales enter as numbers, they are cut here: seven times the distance is no knowledge."""
-LEAST_M = 1e-3  # distances and errors are at least this, so that none outvotes all others
+LOG_ERROR_UNIT = 3.0  # in which log scales of a sighting enter the network
 BEND_WIDTH = 256
 """Of the hidden layers of the network's correction of the forecast, whatever `ObActConfig.width`,
 that of what the head reads, is. Not tuned."""
@@ -187,27 +181,6 @@ def _inputs(sightings: Tensor, rays: Tensor, place: Tensor) -> Tensor:
     seen = torch.cat(by_camera, dim=-1).flatten(2)
     embedding = sightings[..., N_SIGHTING:].flatten(2)
     return torch.cat([(place / PLACE_M).clamp(-MOST_UNITS, MOST_UNITS), seen, embedding], dim=-1)
-
-
-def fused(eyes: Tensor, rays: Tensor, scales: Tensor) -> Tensor:
-    """Return where the cameras together place the target [m], ``(B, T, 3)``: each counts by what it
-    is sure of.
-
-    A camera's error is taken to be Gaussian with the ``scales`` ``(B, T, C, 2)`` it reports, across
-    and along its line of sight, so the lines of sight of two cameras cross where both are precise.
-    See `Forecaster.sighted` for the others.
-    """
-    if eyes.shape[2] == 1:
-        return (eyes + rays)[:, :, 0]
-    distance = rays.norm(dim=-1, keepdim=True).clamp_min(LEAST_M)
-    errors_m = scales.clamp(LOG_ERRORS[0], BLIND_LOG_ERROR).exp() * distance
-    across, along = (errors_m.clamp_min(LEAST_M) ** -2)[..., None].unbind(-2)  # (B, T, C, 1)
-    sight = rays / distance
-    line = einsum(sight, sight, "... i, ... j -> ... i j")
-    plane = torch.eye(3, device=line.device) - line
-    precision = across[..., None] * plane + along[..., None] * line  # (B, T, C, 3, 3)
-    weighted = precision @ (eyes + rays)[..., None]
-    return torch.linalg.solve(precision.sum(2), weighted.sum(2))[..., 0]
 
 
 def _first_seen(position: Tensor, hidden: Tensor) -> Tensor:
