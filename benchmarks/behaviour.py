@@ -74,7 +74,8 @@ class Folder:
             stdin=subprocess.DEVNULL,
         )
         print(f"{time.monotonic() - began:6.1f} s  {done.returncode}  {line}", file=sys.stderr)
-        out, err = self.plain(done.stdout), self.plain(done.stderr)
+        out = self.plain(done.stdout)
+        err = self.plain(done.stderr)
         return {"code": done.returncode, "out": out, "err": err}
 
     def plain(self, text: str) -> list[str]:
@@ -168,7 +169,8 @@ def flat(value: Any, name: str = "") -> Iterator[tuple[str, str]]:
 
 def diff(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[str]:
     """Yield the lines of a diff, of each leaf that differs."""
-    old, new = dict(flat(before)), dict(flat(after))
+    old = dict(flat(before))
+    new = dict(flat(after))
     for name in [*old, *(name for name in new if name not in old)]:
         if name in old and name in new and old[name] == new[name]:
             continue

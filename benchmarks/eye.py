@@ -69,7 +69,8 @@ def main() -> None:
     rows = _table(np.concatenate([_errors(eye, camera, shown) for shown in stream]))
     print("distance [cm]   images   median (90 %) error along / across the line of sight [cm]")
     for row in rows:
-        along, across = row["along_cm"], row["across_cm"]
+        along = row["along_cm"]
+        across = row["across_cm"]
         told = f"{along[0]:5.1f} ({along[1]:5.1f}) / {across[0]:5.2f} ({across[1]:5.2f})"
         print(
             f"{row['from_cm']:5.0f} to {row['to_cm'] or np.inf:4.0f} {row['images']:9d}      {told}"
@@ -90,7 +91,8 @@ def _visited(
     window, meeting = (
         np.array([getattr(s, name) for s in specs]) for name in ("window_frames", "intercept_frame")
     )
-    before, frame = None, 0
+    before = None
+    frame = 0
     while session.playing.size:
         observation = session.observe(images=True)
         now = observation.images[camera].copy()
@@ -107,7 +109,8 @@ def _visited(
         terminated, truncated = session.step(policy.act(observation))
         for i in np.flatnonzero(terminated | truncated):
             session.finish(int(i), policy.name)
-        before, frame = now, frame + 1
+        before = now
+        frame = frame + 1
 
 
 @torch.no_grad()

@@ -79,7 +79,8 @@ def ours(episodes: int, image_size: int, processes: int) -> dict[str, float]:
 
 def theirs(episodes: int, image_size: int, processes: int, *, shadows: bool) -> dict[str, float]:
     """Record the same seeds with one plain env and one LeRobotDataset per process."""
-    recipe, share = Recipe.of(image_size=image_size), -(-episodes // processes)
+    recipe = Recipe.of(image_size=image_size)
+    share = -(-episodes // processes)
     seeds = [
         list(range(k, min(k + share, FIRST_SEED + episodes)))
         for k in range(FIRST_SEED, episodes, share)
@@ -125,15 +126,11 @@ def main() -> None:
     else:
         args.processes = 1
     rounds = compare(args)
-    alone, shares = (
-        stages_alone(args.image_size),
-        stage_shares(args.image_size, args.stage_episodes),
-    )
+    alone = stages_alone(args.image_size)
+    shares = stage_shares(args.image_size, args.stage_episodes)
     _print_stages(alone, shares)
-    limit, steady = (
-        1 / sum(1 / rate for rate in alone.values()),
-        statistics.median(r["ours_steady_frames_s"] for r in rounds),
-    )
+    limit = 1 / sum(1 / rate for rate in alone.values())
+    steady = statistics.median(r["ours_steady_frames_s"] for r in rounds)
     print(
         f"steady state {steady:.0f} frames/s, limit of the stages {limit:.0f} frames/s: "
         f"{steady / limit:.2f} of it"

@@ -33,7 +33,8 @@ TRAIN_SEEDS = 220
 """How many seeds of the endless split are pinned."""
 IMAGE_EPISODES = 4
 """Of each split, at seeds of its own, so that all of them together have every kind of motion."""
-IMAGE_PX, IMAGE_STRIDE = 64, 5
+IMAGE_PX = 64
+IMAGE_STRIDE = 5
 DECIMALS = 6
 """Lengths [m], times [s] and angles [rad] are pinned to a millionth, so that compilers may round
 differently."""
@@ -54,7 +55,8 @@ class Closing(Expert):
 
     def command(self, world: WorldView) -> np.ndarray:
         """Return (18,) the command of one world."""
-        palm, joints = world.state[:PALM_DOF], world.state[PALM_DOF:]
+        palm = world.state[:PALM_DOF]
+        joints = world.state[PALM_DOF:]
         return np.concatenate([palm + [0.005, 0.0, 0.0], np.minimum(joints + 0.05, 1.5)])
 
 

@@ -40,9 +40,12 @@ from dynahoi_lerobot.play.steering import POINTED_M
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.scene.pinhole import Pinhole
 
-DEADBAND_M, CLOSED_RAD = 0.01, 0.1
+DEADBAND_M = 0.01
+CLOSED_RAD = 0.1
 WIDTHS_PX = (390, 820, 1280)
-FILM_PX, FILM_FPS, RESULT_S = (820, 760), 10, 3.0
+FILM_PX = (820, 760)
+FILM_FPS = 10
+RESULT_S = 3.0
 FLAGS = [
     "--headless=new",
     "--no-sandbox",
@@ -60,7 +63,9 @@ class Tab:
     """A page of Chromium through the DevTools protocol."""
 
     def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
-        self._socket, self._number, self._answers = socket, 0, dict[int, asyncio.Future[Any]]()
+        self._socket = socket
+        self._number = 0
+        self._answers = dict[int, asyncio.Future[Any]]()
         self._filmed: list[tuple[float, bytes]] = []
         self._reader = asyncio.ensure_future(self._read())
 
@@ -99,10 +104,8 @@ class Tab:
     async def press(self, keys: set[str], held: set[str]) -> None:
         """Let ``keys`` be down, by their codes, of which some are ``held`` so far."""
         for code in keys ^ held:
-            name, kind = (
-                " " if code == "Space" else code[-1].lower(),
-                "keyDown" if code in keys else "keyUp",
-            )
+            name = " " if code == "Space" else code[-1].lower()
+            kind = "keyDown" if code in keys else "keyUp"
             await self.call("Input.dispatchKeyEvent", type=kind, code=code, key=name)
 
     async def _resize(self, width: int, height: int) -> None:

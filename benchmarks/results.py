@@ -104,7 +104,8 @@ class Plan:
         training, results.
         """
         run = f"{re.sub('[^a-z0-9]+', '_', row.name.lower()).strip('_')}-{seed}"
-        data, training = self.root / "data" / row.dataset, self.root / TRAINING / run
+        data = self.root / "data" / row.dataset
+        training = self.root / TRAINING / run
         dataset = self.datasets[row.dataset]
         limit = ["--episodes", str(self.episodes)] if self.episodes else []
         options = shlex.split(f"{row.train} {self.train}")
@@ -118,7 +119,8 @@ class Plan:
             *limit,
             *shlex.split(row.evaluate),
         ]
-        results, salted = self.root / self.split / run, self.root / f"{self.split}_salted" / run
+        results = self.root / self.split / run
+        salted = self.root / f"{self.split}_salted" / run
         encoded = dataset.get("encode", False)
         recorded = data.with_name(f"{data.name}_images") if encoded else data
         generate = [
@@ -197,7 +199,8 @@ def main() -> None:
     }
     plan = Plan(args.root.resolve(), table["datasets"], **options)
     runs: dict[str, Results] = {}
-    minutes, against = {}, {}
+    minutes = {}
+    against = {}
     for row in rows if args.only is None else [row for row in rows if row.name in args.only]:
         for seed in range(args.seeds or row.seeds):
             commands = plan.commands(row, seed)

@@ -47,7 +47,8 @@ def made(
     plan = GenerationPlan(
         Recording.of(image_size=image_size), episodes, seed, shard_episodes=shard_episodes
     )
-    merge_s, merge_shards = 0.0, ShardMaker.merge
+    merge_s = 0.0
+    merge_shards = ShardMaker.merge
 
     def merge_timed(maker: ShardMaker, place: Path):
         nonlocal merge_s
@@ -121,10 +122,8 @@ def machines(args: argparse.Namespace, folder: Path) -> dict[str, dict[str, floa
     ]
     both = measure_apart(merged, roots, folder / "both")
     total = {name: sum(part[name] for part in parts) for name in ("frames", "mib")}
-    seconds, peak = (
-        max(part["seconds"] for part in parts) + both["seconds"],
-        max(p["peak_mb"] for p in (*parts, both)),
-    )
+    seconds = max(part["seconds"] for part in parts) + both["seconds"]
+    peak = max(p["peak_mb"] for p in (*parts, both))
     return {
         "two machines": total | {"seconds": seconds, "merge_s": both["seconds"], "peak_mb": peak}
     }
@@ -159,7 +158,8 @@ def main() -> None:
 
 
 def _line(name: str, row: dict[str, float]) -> str:
-    frames, seconds = row["frames"], row["seconds"]
+    frames = row["frames"]
+    seconds = row["seconds"]
     rates = (
         f"{frames / seconds:.0f} | {1000 * seconds / frames:.2f} | {row['merge_s'] / seconds:.1%}"
     )

@@ -163,7 +163,8 @@ def search_paths(
     """Return (C, 3) the centers of clusters of homes [m], world, and (C, K, 3) the path found for
     each.
     """
-    targets, homes_w = relative_paths(specs, FRAMES), homes_of(specs)
+    targets = relative_paths(specs, FRAMES)
+    homes_w = homes_of(specs)
     centres = cluster(homes_w, clusters)
     labels = nearest(homes_w, centres)
     return centres, np.stack(

@@ -278,7 +278,8 @@ def gripped(track: Track) -> np.ndarray:
     """Return (T,) bool: between thumb and another finger, or finger and palm, near the palm center,
     off all else.
     """
-    fingers, palm = track.contacts.finger_force_n > 0, track.contacts.palm_force_n > 0
+    fingers = track.contacts.finger_force_n > 0
+    palm = track.contacts.palm_force_n > 0
     opposed = (fingers[:, THUMB] | palm) & np.delete(fingers, THUMB, axis=1).any(axis=1)
     opposed |= fingers[:, THUMB] & palm
     return opposed & ~(track.contacts.others > 0) & (track.palm_distance_m < HELD_RADIUS_M)

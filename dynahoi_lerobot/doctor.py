@@ -49,10 +49,8 @@ class Fact:
 
     def __str__(self) -> str:
         """Return one line."""
-        mark, follows = (
-            "PROBLEM: " if self.problem else "",
-            f"  -> {self.follows}" if self.follows else "",
-        )
+        mark = "PROBLEM: " if self.problem else ""
+        follows = f"  -> {self.follows}" if self.follows else ""
         return f"{self.name:<24} {mark}{self.found}{follows}"
 
 
@@ -115,7 +113,8 @@ WORKER_GB, EPISODE_MB, LEAST_GB = 0.9, 0.13, 0.5
 
 def processor() -> Iterator[Fact]:
     """Yield the available cores and the memory."""
-    count, memory_gb = cores(), os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
+    count = cores()
+    memory_gb = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
     room = int(memory_gb / WORKER_GB)
     yield Fact(
         "cores",
@@ -188,11 +187,14 @@ def codecs() -> Iterator[Fact]:
     if importlib.util.find_spec("torchcodec") is None:
         yield Fact("torchcodec", "none", "LeRobot decodes with PyAV")
         return
-    found, follows, works = version("torchcodec"), "LeRobot decodes with torchcodec", True
+    found = version("torchcodec")
+    follows = "LeRobot decodes with torchcodec"
+    works = True
     try:
         importlib.import_module("torchcodec")
     except (ImportError, OSError, RuntimeError):
-        found, works = f"{found}, finds no FFmpeg libraries", False
+        found = f"{found}, finds no FFmpeg libraries"
+        works = False
         follows = "LeRobot prints a traceback and decodes with PyAV; install FFmpeg's libraries"
     yield Fact("torchcodec", found, follows, problem=not works)
 
@@ -359,7 +361,8 @@ def compare(found: Reference, wanted: Reference) -> Iterator[Fact]:
         )
     else:
         off = np.abs(found["poses"] - wanted["poses"]).max(axis=0)
-        palm_m, target_m = off[:PALM_DOF].max(), off[HAND_DOF : HAND_DOF + 3].max()
+        palm_m = off[:PALM_DOF].max()
+        target_m = off[HAND_DOF : HAND_DOF + 3].max()
         close = bool(off.max() <= TOLERANCE)
         confirmed = (
             "`dynahoi evaluate --replay` confirms results across both, with the same "

@@ -86,7 +86,8 @@ def encode(
 
     if output.exists():
         raise FileExistsError(f"{output} exists; choose a new folder")
-    store, views = Store(root), {}
+    store = Store(root)
+    views = {}
     manifest = Manifest.read(root)
     for key in store.image_keys:
         view = key.removeprefix(IMAGE_PREFIX)

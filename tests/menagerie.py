@@ -9,7 +9,9 @@ import mujoco_menagerie
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.hands.robot import RobotHand
 
-DAMPING, ARMATURE, TORQUE_NM = 0.05, 0.0002, 1.0
+DAMPING = 0.05
+ARMATURE = 0.0002
+TORQUE_NM = 1.0
 SHARPA_FINGERS = {"index": -0.03, "middle": -0.01, "ring": 0.01, "pinky": 0.03}
 SHADOW_FINGERS = {
     "FF": (-0.033, 0.095),
@@ -23,7 +25,8 @@ def gather_menagerie(root: Path) -> Path:
     """Fill ``root`` with each table's model, the real one where this machine has it, and return
     ``root``.
     """
-    cache, stand_ins = mujoco_menagerie.Cache(), {"sharpa_wave": sharpa, "shadow_hand": shadow}
+    cache = mujoco_menagerie.Cache()
+    stand_ins = {"sharpa_wave": sharpa, "shadow_hand": shadow}
     entries = {hand.model: hand.entry for _, hand in HANDS.items() if isinstance(hand, RobotHand)}
     for name, entry in entries.items():
         robot = mujoco_menagerie.get(name)
@@ -98,7 +101,8 @@ def sharpa_finger(name: str, y: float) -> str:
         f"{name}_PIP", "0 1.75", 0.028, end, 'pos="0.047 0 0" quat="0.7071 -0.7071 0 0"'
     )
     spread = sharpa_link(f"{name}_MCP_AA", "-0.35 0.35", 0.045, middle, 'quat="0.7071 0.7071 0 0"')
-    at, turn = f'pos="0 {y} 0.096"', 'quat="0.5 -0.5 -0.5 -0.5"'
+    at = f'pos="0 {y} 0.096"'
+    turn = 'quat="0.5 -0.5 -0.5 -0.5"'
     if name != "pinky":
         return sharpa_link(f"{name}_MCP_FE", "-0.17 1.57", 0.0, spread, f"{at} {turn}")
     knuckle = sharpa_link(f"{name}_MCP_FE", "-0.17 1.57", 0.0, spread, turn)

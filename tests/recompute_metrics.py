@@ -96,7 +96,8 @@ def _grasps(episode: pd.Series, joints: np.ndarray) -> bool:
     rest, reference = (
         np.asarray(episode[f"{name}_joints"], float) for name in ("open", "reference")
     )
-    turned, wanted = joints - rest, reference - rest
+    turned = joints - rest
+    wanted = reference - rest
     return bool((turned * np.sign(wanted) >= GRASP_SHARE * np.abs(wanted) - 1e-6).all())
 
 
@@ -113,7 +114,8 @@ def smoothness(path: np.ndarray) -> float:
 
 
 def linearity(path: np.ndarray) -> float:
-    steps, way = _steps(path), path[-1] - path[0]
+    steps = _steps(path)
+    way = path[-1] - path[0]
     if not len(steps) or np.linalg.norm(way) <= REST_M:
         return 0.0
     lengths = np.linalg.norm(steps, axis=1)
@@ -137,7 +139,8 @@ def _surface(points: np.ndarray, solid: np.ndarray) -> np.ndarray:
     """Signed distance (...) of points (..., 3) in the object's frame to a solid, by MuJoCo's geom
     type [m].
     """
-    kind, size = int(solid[0]), solid[1:4]
+    kind = int(solid[0])
+    size = solid[1:4]
     p = (points - solid[4:7]) @ _rotation(solid[7:])
     radial = np.hypot(p[..., 0], p[..., 1])
     if kind == 2:  # sphere
@@ -145,7 +148,8 @@ def _surface(points: np.ndarray, solid: np.ndarray) -> np.ndarray:
     if kind == 3:  # capsule
         return np.hypot(radial, np.maximum(np.abs(p[..., 2]) - size[1], 0)) - size[0]
     if kind == 4:  # ellipsoid, to first order
-        scaled, gradient = np.linalg.norm(p / size, axis=-1), np.linalg.norm(p / size**2, axis=-1)
+        scaled = np.linalg.norm(p / size, axis=-1)
+        gradient = np.linalg.norm(p / size**2, axis=-1)
         return scaled * (scaled - 1) / gradient
     beyond = (
         np.stack([radial - size[0], np.abs(p[..., 2]) - size[1]], axis=-1)

@@ -74,7 +74,8 @@ def simulate(
     """
     scene = compile_scene()
     batch = Batch(scene.model, nsim=1, nthread=1)
-    rows, one = WorldFields(batch, scene), np.array([0])
+    rows = WorldFields(batch, scene)
+    one = np.array([0])
     frames = int(np.ceil(seconds * 20))
     rows.reset(one)
     force_w = rows.write_world(0, motion, target, frames, ENVIRONMENT)
@@ -85,15 +86,15 @@ def simulate(
     force = np.zeros((1, frames * SUBSTEPS, scene.model.nv))
     force[0, :, scene.target_dof : scene.target_dof + 3] = force_w.reshape(-1, 3)
     force[0, frames * SUBSTEPS if driven_frames is None else driven_frames * SUBSTEPS :] = 0.0
-    first_qpos, first_qvel = rows.qpos[0].copy(), rows.qvel[0].copy()
+    first_qpos = rows.qpos[0].copy()
+    first_qvel = rows.qvel[0].copy()
     applied = mujoco.mjtState.mjSTATE_QFRC_APPLIED.value
     record = batch.rollout(force.shape[1], force, applied, record=("qpos", "qvel"))
     assert not np.any(batch.warning), "the simulation is unstable"
-    qpos, qvel = (
-        np.vstack([first_qpos, record["qpos"][0]]),
-        np.vstack([first_qvel, record["qvel"][0]]),
-    )
-    at, dof = scene.target_qpos, scene.target_dof
+    qpos = np.vstack([first_qpos, record["qpos"][0]])
+    qvel = np.vstack([first_qvel, record["qvel"][0]])
+    at = scene.target_qpos
+    dof = scene.target_dof
     return Track(
         time=np.arange(len(qpos)) * PHYSICS_DT,
         pos=qpos[:, at : at + 3],

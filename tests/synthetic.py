@@ -48,12 +48,14 @@ def synthetic_episode(
     rng = np.random.default_rng(seed)
     window = max(8, frames // 5)
     arrival = window + (frames - window) // 2
-    home_w, meeting = np.array([0.0, 0.0, 1.0]), np.array([0.3, 0.1, 0.05])
+    home_w = np.array([0.0, 0.0, 1.0])
+    meeting = np.array([0.3, 0.1, 0.05])
     progress = np.clip((np.arange(frames) - window) / (arrival - window), 0, 1)[:, None]
     palm = progress * meeting
     velocity = rng.uniform(-0.2, 0.2, 3)
     free = np.arange(window + frames + 1)[:, None] - arrival
-    passing, speed = meeting + [0, 0, miss_m], float(np.linalg.norm(velocity))
+    passing = meeting + [0, 0, miss_m]
+    speed = float(np.linalg.norm(velocity))
     path = passing + free * CONTROL_DT * velocity
     way = tuple((velocity / speed).tolist())
     motion = Constant(tuple((home_w + passing).tolist()), way, arrival * CONTROL_DT, speed, 0.0)

@@ -31,7 +31,8 @@ from dynahoi_lerobot.world.batch import WorldBatch
 from tests.world.playing import SMALL, world
 
 HOME_W = np.array([0.0, 0.0, 1.1])
-POSE_DRIFT_M, POSE_DRIFT_RAD = 1e-4, 3e-4
+POSE_DRIFT_M = 1e-4
+POSE_DRIFT_RAD = 3e-4
 
 
 def passing(spec: EpisodeSpec, speed_m_s: float, miss_m: float, at_s: float) -> EpisodeSpec:
@@ -52,10 +53,8 @@ def relative_pose(batch: WorldBatch) -> tuple[np.ndarray, np.ndarray]:
 
 def test_a_target_at_4_m_s_is_caught_at_its_closest_step(specs: list[EpisodeSpec]):
     """It is within reach for 15 ms at most, wherever in the frame that falls."""
-    control, cases = (
-        specs[3].window_frames,
-        np.array([*product((0.0, 0.02, 0.029), (0.0, 0.2, 0.5, 0.77))]),
-    )
+    control = specs[3].window_frames
+    cases = np.array([*product((0.0, 0.02, 0.029), (0.0, 0.2, 0.5, 0.77))])
     batch = world(
         [
             passing(specs[3], 4.0, miss_m, (control + 2 + phase) * CONTROL_DT)
@@ -90,7 +89,8 @@ def test_a_welded_target_moves_with_the_hand_as_it_lies(specs: list[EpisodeSpec]
     while not batch.localized[0]:
         batch.step(batch.executed)
     position, rotation = relative_pose(batch)
-    farthest, start = 0.0, batch.state[0, :3].copy()
+    farthest = 0.0
+    start = batch.state[0, :3].copy()
     for k in range(40):
         command = batch.executed.copy()
         command[0, :3] += (0.06 * np.sin(k / 3), 0.05 * np.cos(k / 4), 0.03 * np.sin(k / 2))
@@ -181,7 +181,8 @@ def test_success_is_s_joint_whoever_plays(specs: list[EpisodeSpec], capture: str
 
 def test_weld_grasp_and_clock_follow_the_wider_radius(specs: list[EpisodeSpec]):
     strict, lenient = (played(specs[3], capture, 0.06) for capture in ("attach", "attach_lenient"))
-    missed, caught = measure(strict), measure(lenient)
+    missed = measure(strict)
+    caught = measure(lenient)
     assert [missed[name] for name in ("S_loc", "S_gra", "S_joint", "R_time")] == [0, None, 0, 0]
     assert [caught[name] for name in ("S_loc", "S_gra", "S_joint")] == [1, 1, 1]
     first = lenient.first_localized
@@ -281,7 +282,8 @@ def test_the_touch_of_the_first_frame_is_the_mean_over_it(constant: EpisodeSpec)
     step they meet.
     """
     specs = [flying(constant, speed_m_s) for speed_m_s in (1.0, 1.7, 2.3, 3.1)]
-    batch, touched = world(specs, capture="contact"), np.zeros(4, bool)
+    batch = world(specs, capture="contact")
+    touched = np.zeros(4, bool)
     while not touched.all():
         before = batch.target_velocity_w[:, 0].copy()
         batch.step(batch.executed)

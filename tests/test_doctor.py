@@ -35,7 +35,8 @@ def test_this_machine_has_no_problems(tmp_path: Path, monkeypatch: pytest.Monkey
 def test_the_command_writes_every_fact_and_fails_with_a_problem(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    good, bad = Fact("cores", "2", "two workers"), Fact("torch", "0.1", "needs 2", problem=True)
+    good = Fact("cores", "2", "two workers")
+    bad = Fact("torch", "0.1", "needs 2", problem=True)
     for found, code in (([good], 0), ([good, bad], 1)):
         monkeypatch.setattr(doctor, "examine", lambda folder, found=found: iter(found))
         assert main(["doctor", "--json", str(tmp_path / "facts.json")]) == code

@@ -34,7 +34,8 @@ def encoded(dataset: Path, once: Once) -> Path:
 def test_a_column_holds_what_the_sensor_sees_in_each_image_and_the_one_before(
     dataset: Path, encoded: Path
 ):
-    sensor, found = image_sensor("eye")("ego"), frame_column(encoded, SIGHTINGS_PREFIX + "ego")
+    sensor = image_sensor("eye")("ego")
+    found = frame_column(encoded, SIGHTINGS_PREFIX + "ego")
     first = 0
     for episode in read_episodes(dataset, [0, 1]):
         images = episode.images["ego"]
@@ -68,7 +69,8 @@ def test_lerobot_reads_windows_of_it_and_no_images(encoded: Path):
 
 
 def test_it_is_signed_anew(dataset: Path, encoded: Path):
-    before, after = Manifest.read(dataset), Manifest.read(encoded)
+    before = Manifest.read(dataset)
+    after = Manifest.read(encoded)
     assert not list(file_problems(encoded, after))
     assert after.provenance["encoded"] == {"sensor": "eye", "from": before.digest}
     assert (after.seeds, after.benchmark) == (before.seeds, before.benchmark)
@@ -83,7 +85,8 @@ def test_verify_checks_what_is_left_of_it(encoded: Path, tmp_path: Path, capsys)
 
 
 def test_files_that_lerobot_knows_nothing_of_are_kept(dataset: Path, tmp_path: Path):
-    root, out = shutil.copytree(dataset, tmp_path / "with"), tmp_path / "out"
+    root = shutil.copytree(dataset, tmp_path / "with")
+    out = tmp_path / "out"
     (root / "meta/ours").mkdir()
     (root / "meta/ours/notes.txt").write_text("kept")
     assert main(["encode", str(root), str(out)]) == 0
@@ -102,7 +105,8 @@ def with_state(dataset: Path, once: Once) -> Path:
 def test_the_environment_state_is_what_environments_show_of_the_same_images(
     dataset: Path, with_state: Path
 ):
-    found, states = frame_column(with_state, "observation.environment_state"), []
+    found = frame_column(with_state, "observation.environment_state")
+    states = []
     poses, intrinsics = (
         episode_column(dataset, f"ego_{name}") for name in ("camera", "intrinsics")
     )
@@ -117,7 +121,8 @@ def test_the_environment_state_is_what_environments_show_of_the_same_images(
 
 
 def test_what_was_seen_earlier_is_the_place_of_then(with_state: Path):
-    found, length = frame_column(with_state, "observation.environment_state"), 20
+    found = frame_column(with_state, "observation.environment_state")
+    length = 20
     now = found[:length, :3]
     for column, age in enumerate((0, 2, 4, 8)):
         before = now[np.maximum(np.arange(length) - age, 0)]

@@ -145,7 +145,8 @@ def test_the_label_is_the_meeting_and_in_the_window_that_of_the_start_of_control
     recipe = Recording.of(image_size=0, split=specs[0].split, perturbed_share=0.0)
     for episode in record(recipe, [spec.seed for spec in specs[:22]]):
         assert not trajectory_problems(episode)
-        window, path = episode.meta.window_frames, episode.target_path_h
+        window = episode.meta.window_frames
+        path = episode.target_path_h
         free = int(np.flatnonzero(~episode.localized)[-1]) + 1
         apart = np.linalg.norm(path - episode.action[:free, None, :3], axis=-1)
         assert apart.min(axis=1).max() < 1e-6
@@ -178,7 +179,8 @@ def test_a_palm_beyond_the_target_goes_around_it_to_close_from_behind():
     while not (step := approach(ways[-1]))[1]:
         ways.append(step[0])
         assert len(ways) < 20
-    along, across = np.array(ways)[:, 0], np.linalg.norm(np.array(ways)[:, 1:], axis=1)
+    along = np.array(ways)[:, 0]
+    across = np.linalg.norm(np.array(ways)[:, 1:], axis=1)
     assert across[(along > -0.01) & (along < 0.11)].min() > 0.07
     assert along[-1] < 0
 

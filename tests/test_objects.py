@@ -19,7 +19,8 @@ from dynahoi_lerobot.scene.signed_distance import signed_distance
 
 NAMES = OBJECTS.names()
 IN_DISTRIBUTION = BENCHMARK.splits["train"].objects
-DRAWS, POINTS = 200, 20_000
+DRAWS = 200
+POINTS = 20_000
 ADDITIVE = 1.22074408460575947536 ** -np.arange(1.0, 4.0)
 """Powers of the root of x^4 = x + 1: multiples of them modulo 1 fill the unit cube evenly (the R3
 sequence)."""
@@ -34,7 +35,8 @@ def draws(name: str, count: int = DRAWS) -> list[TargetObject]:
 def test_is_a_function_of_the_seed_and_in_range_and_the_scene_has_a_slot_for_each_of_its_solids(
     name: str,
 ):
-    targets, scene = draws(name), compile_scene()
+    targets = draws(name)
+    scene = compile_scene()
     assert targets[:3] == draws(name, 3)
     assert len(set(targets[:3])) == 3
     for target in targets:
@@ -152,7 +154,8 @@ def _mujoco_inertia(target: TargetObject) -> np.ndarray:
             quat=primitive.quat,
         )
     model = spec.compile()
-    axes, offset = quat_to_matrix(model.body_iquat[1]), model.body_ipos[1]
+    axes = quat_to_matrix(model.body_iquat[1])
+    offset = model.body_ipos[1]
     own = axes @ np.diag(model.body_inertia[1]) @ axes.T
     shift = model.body_mass[1] * (offset @ offset * np.eye(3) - np.outer(offset, offset))
     return (own + shift) * target.mass_kg / model.body_mass[1]

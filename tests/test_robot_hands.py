@@ -47,7 +47,8 @@ def own_limits_nm(model: mujoco.MjModel) -> np.ndarray:
     """(nv,) the least of what the model allows each degree of freedom and what pulls it; infinite
     without a limit.
     """
-    data, limits = mujoco.MjData(model), np.full(model.nv, np.inf)
+    data = mujoco.MjData(model)
+    limits = np.full(model.nv, np.inf)
     limits[model.jnt_dofadr] = np.where(
         model.jnt_actfrcrange[:, 1] > 0, model.jnt_actfrcrange[:, 1], np.inf
     )
@@ -60,7 +61,8 @@ def own_limits_nm(model: mujoco.MjModel) -> np.ndarray:
 
 @every_robot
 def test_eighteen_joints_with_the_torques_of_the_model(robot: str) -> None:
-    model, source = compile_scene(robot).model, own(robot)
+    model = compile_scene(robot).model
+    source = own(robot)
     assert [model.actuator(i).name for i in range(model.nu)] == list(HAND_NAMES)
     data = mujoco.MjData(model)
     data.ctrl[PALM_DOF:] = 100.0
@@ -77,13 +79,17 @@ def test_eighteen_joints_with_the_torques_of_the_model(robot: str) -> None:
 
 @every_robot
 def test_open_it_is_the_models_own_pose(robot: str) -> None:
-    hand, source, model = ROBOTS[robot], own(robot), compile_scene(robot).model
-    theirs, ours = mujoco.MjData(source), mujoco.MjData(model)
+    hand = ROBOTS[robot]
+    source = own(robot)
+    model = compile_scene(robot).model
+    theirs = mujoco.MjData(source)
+    ours = mujoco.MjData(model)
     for joint, angle in hand.rest_rad.items():
         theirs.joint(joint).qpos = angle
     mujoco.mj_kinematics(source, theirs)
     mujoco.mj_kinematics(model, ours)
-    palm, mount = theirs.body(hand.palm), quat_to_matrix(np.array(hand.palm_quat))
+    palm = theirs.body(hand.palm)
+    mount = quat_to_matrix(np.array(hand.palm_quat))
     for finger in FINGERS:
         last = source.jnt_bodyid[source.joint(hand.fingers[finger].joints[-1]).id]
         in_palm = palm.xmat.reshape(3, 3).T @ (theirs.xpos[last] - palm.xpos)

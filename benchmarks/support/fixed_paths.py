@@ -176,7 +176,8 @@ def hits_by_cluster(
         table: (C, 3) centers [m], world, and (C, K, 3) their paths.
     """
     centres, paths = table
-    met, labels = np.zeros(len(homes_w), bool), nearest(homes_w, centres)
+    met = np.zeros(len(homes_w), bool)
+    labels = nearest(homes_w, centres)
     for k, path in enumerate(paths):
         met[labels == k] = hits_along(path, targets[labels == k])
     return met

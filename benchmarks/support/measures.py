@@ -67,11 +67,13 @@ def _generate(episodes: int, image_size: int, processes: int) -> Numbers:
     plan = GenerationPlan(Recording.of(image_size=image_size), episodes, shard_episodes=shard)
     with tempfile.TemporaryDirectory() as folder:
         note = Path(folder) / "first step"
-        record, before_s = partial(_record, note), _spent()[1] if processes > 1 else 0.0
+        record = partial(_record, note)
+        before_s = _spent()[1] if processes > 1 else 0.0
         manifest = generate(plan, Path(folder) / "dataset", record=record, workers=processes)
         began_s, worker_s = (float(line) for line in note.read_text().split())
     wall_s, cpu_s = _spent()
-    start_wall_s, start_cpu_s = wall_s - (time.time() - began_s), before_s + worker_s
+    start_wall_s = wall_s - (time.time() - began_s)
+    start_cpu_s = before_s + worker_s
     thousands = manifest.frames / 1000
     return {
         "start-up, wall s": start_wall_s,
@@ -134,7 +136,8 @@ def _steps(make: Callable[[int, int], Any], settings: Settings, image_size: int)
     """Actions wander about the measured state, as in `env.py`."""
     import numpy as np
 
-    env, rng = make(settings.num_envs, image_size), np.random.default_rng(0)
+    env = make(settings.num_envs, image_size)
+    rng = np.random.default_rng(0)
     seen, _ = env.reset(seed=0)
     begin: tuple[float, float] = _spent()
     for step in range(-5, settings.steps):
@@ -175,8 +178,10 @@ def shadows(settings: Settings) -> Numbers:
     from dynahoi_lerobot.sampling.sampler import sample_specs
     from dynahoi_lerobot.world.batch import WorldBatch
 
-    worlds, rounds = 32, 8
-    specs, seconds = sample_specs(Recipe(split="test"), range(worlds)), {}
+    worlds = 32
+    rounds = 8
+    specs = sample_specs(Recipe(split="test"), range(worlds))
+    seconds = {}
     batches = {}
     for renderer in ("tiles", "flat"):
         rules = Rules(image_size=settings.image_size, renderer=renderer)

@@ -22,7 +22,10 @@ from dynahoi_lerobot.rules import Rules
 from dynahoi_lerobot.world.batch import WorldBatch
 
 WORLDS = 64
-HIDDEN, STEPS, LEARNING_RATE, WEIGHT_DECAY = 64, 80, 3e-3, 0.1
+HIDDEN = 64
+STEPS = 80
+LEARNING_RATE = 3e-3
+WEIGHT_DECAY = 0.1
 POINT_SCALE_M, TIME_SCALE_S = 0.1, 0.5
 """Units in which errors of point and time are weighed against each other."""
 LEAST_SPREAD = 1e-4
@@ -95,7 +98,8 @@ def regression(
     """Train on (N, D) inputs ``seen``; return what is explained and met of those of the split, (M,
     D) ``asked``.
     """
-    predicted, true = predict(fit(seen, meetings(train)), asked), meetings(split)
+    predicted = predict(fit(seen, meetings(train)), asked)
+    true = meetings(split)
     explained = 1 - ((predicted - true) ** 2).sum(axis=0) / ((true - true.mean(axis=0)) ** 2).sum(
         axis=0
     )
@@ -109,7 +113,8 @@ def paths_by_motion(train: Sequence[EpisodeSpec], split: Sequence[EpisodeSpec]) 
     """Return (M,) bool: what the best path of its kind meets, or the fixed path where no
     instruction names the kind.
     """
-    targets, searched = relative_paths(split, FRAMES), relative_paths(train, FRAMES)
+    targets = relative_paths(split, FRAMES)
+    searched = relative_paths(train, FRAMES)
     met = hits_along(fixed_path("standard"), targets)
     kinds = np.array([spec.motion.name for spec in train])
     for kind in sorted(set(kinds)):
@@ -200,7 +205,8 @@ class _Standardise(nn.Module):
 
     def __init__(self, mean: torch.Tensor, spread: torch.Tensor) -> None:
         super().__init__()
-        self._mean, self._spread = mean, spread
+        self._mean = mean
+        self._spread = spread
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         return (x - self._mean) / self._spread

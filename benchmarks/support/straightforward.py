@@ -51,9 +51,11 @@ class StraightforwardEnv(gym.Env):
         """Compile the model; with ``shadows`` it is drawn as MuJoCo draws by default, multisampled
         and with shadows.
         """
-        self.recipe, self._shadows = Recipe.of(split=split, image_size=image_size), shadows
+        self.recipe = Recipe.of(split=split, image_size=image_size)
+        self._shadows = shadows
         self._writer = WorldBatch(Rules(), 1, threads=1)  # writes an episode's numbers into a model
-        self._scene, self._commands = self._writer.scene, self._writer.commands
+        self._scene = self._writer.scene
+        self._commands = self._writer.commands
         self._limits_w = np.stack([self._commands.low, self._commands.high])
         self.model = self._writer._batch.get_model(0)
         self.data = mujoco.MjData(self.model)
@@ -71,7 +73,10 @@ class StraightforwardEnv(gym.Env):
 
     def begin(self, spec: EpisodeSpec) -> dict:
         """Put the world into the first frame of ``spec``."""
-        self.episode, self.frame, self.localized_frame, self.success = spec, 0, None, False
+        self.episode = spec
+        self.frame = 0
+        self.localized_frame = None
+        self.success = False
         self._writer.reset([0], [spec])
         self._writer._batch.get_model(0, self.model)
         self._writer._batch.get_data(0, self.data)
@@ -133,13 +138,15 @@ class StraightforwardEnv(gym.Env):
         """Return what the expert sees, in the world frame."""
         due_frame = max(self.frame, self.episode.window_frames)
         (pose, velocity), caught = self.target_state(), self.localized_frame is not None
-        state, position = self.executed + self.origin, pose[:3] + self.episode.home_pos_w
+        state = self.executed + self.origin
+        position = pose[:3] + self.episode.home_pos_w
         known = (self.episode, state, self.frame, due_frame, position, velocity[:3], caught)
         return WorldView(*known, self._writer.control, LOCALIZATION_RADIUS_M)
 
     def target_state(self) -> tuple[np.ndarray, np.ndarray]:
         """Return pose (7,), home frame, and velocity (6,) of the target."""
-        qpos, dof = self._scene.target_qpos, self._scene.target_dof
+        qpos = self._scene.target_qpos
+        dof = self._scene.target_dof
         pose = self.data.qpos[qpos : qpos + 7].copy()
         pose[:3] -= self.episode.home_pos_w
         return pose, self.data.qvel[dof : dof + 6].copy()
@@ -158,15 +165,19 @@ class StraightforwardEnv(gym.Env):
 
     def _attach(self) -> None:
         """Weld the target to the palm and judge the grasp."""
-        scene, data, model = self._scene, self.data, self.model
+        scene = self._scene
+        data = self.data
+        model = self.model
         self.localized_frame = self.frame
         palm, joints = np.split(data.qpos[scene.hand_qpos] - self.origin, [PALM_DOF])
         self.success = bool(
             in_reference_grasp(joints, self.episode.open_joints, self.episode.reference_joints)
         )
         model.geom_contype[scene.target_geoms] = 0
-        position, quat = self.target_state()[0][:3], self.target_state()[0][3:]
-        inverse, offset = np.zeros(4), np.zeros(3)
+        position = self.target_state()[0][:3]
+        quat = self.target_state()[0][3:]
+        inverse = np.zeros(4)
+        offset = np.zeros(3)
         mujoco.mju_negQuat(inverse, quat)
         mujoco.mju_rotVecQuat(offset, palm - position, inverse)
         model.eq_data[scene.weld_eq, :11] = [0, 0, 0, *offset, *inverse, 1.0]
@@ -182,10 +193,8 @@ def record(root: Path, recipe: Recipe, seeds: list[int], *, shadows: bool = Fals
     from lerobot.configs.video import RGBEncoderConfig
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    env, encoding = (
-        StraightforwardEnv(recipe.rules.image_size, recipe.split, shadows=shadows),
-        Encoding(),
-    )
+    env = StraightforwardEnv(recipe.rules.image_size, recipe.split, shadows=shadows)
+    encoding = Encoding()
     dataset = LeRobotDataset.create(
         "local/straightforward",
         CONTROL_HZ,
@@ -212,9 +221,11 @@ def record(root: Path, recipe: Recipe, seeds: list[int], *, shadows: bool = Fals
 
 def _play(env: StraightforwardEnv, dataset: Any, spec: EpisodeSpec) -> bool:
     """Add the frames of one episode; tell whether it succeeded."""
-    seen, expert = env.begin(spec), Intercept()
+    seen = env.begin(spec)
+    expert = Intercept()
     for _ in range(spec.length_frames):
-        before, action = seen, expert.command(env.view()) - env.origin
+        before = seen
+        action = expert.command(env.view()) - env.origin
         seen = env.step(action)[0]
         dataset.add_frame(_frame(before, env.executed, spec.task))
     return env.success

@@ -98,7 +98,8 @@ def _episode(
     row, table, images = read_episode(store, index, key)
     frames = slice(row["dataset_from_index"], row["dataset_to_index"])
     state, action = found = [column_array(table, name) for name in ("observation.state", "action")]
-    if (least := min(array.shape[1] for array in found)) <= PALM_DOF:
+    least = min(array.shape[1] for array in found)
+    if least <= PALM_DOF:
         raise ValueError(
             f"its state and action must have more than {PALM_DOF} numbers, got {least}"
         )
@@ -109,7 +110,8 @@ def _episode(
         "action": action[:, PALM_DOF:].mean(axis=1),
     }
     told = {"palm": state[:, :PALM_DOF], "action": goal}
-    if (pose := columns["target.pose"]) is not None:
+    pose = columns["target.pose"]
+    if pose is not None:
         told["target"] = pose[frames, :PALM_DOF]
     phase = columns["observation.phase"]
     window = 0 if phase is None else int((~is_acting(phase[frames])).sum())

@@ -18,12 +18,17 @@ if TYPE_CHECKING:
     from dynahoi_lerobot.core.episode import Episode
     from dynahoi_lerobot.world.batch import WorldBatch
 
-WIDTH_PX, STRIP_PX, LEGEND_PX = 480, 48, 20
+WIDTH_PX = 480
+STRIP_PX = 48
+LEGEND_PX = 20
 NEAREST_M = 0.02
 """What is nearer to the camera, or behind it, is not drawn."""
 FARTHEST = 40
 """A place outside the image is drawn at most so many halves of it away."""
-SIGHTED, EXPECTED, MEETING, BACK = (255, 214, 10), (64, 200, 255), (255, 70, 160), (30, 30, 34)
+SIGHTED = (255, 214, 10)
+EXPECTED = (64, 200, 255)
+MEETING = (255, 70, 160)
+BACK = (30, 30, 34)
 Pixel = Callable[[np.ndarray], tuple[int, int] | None]
 TIMES_S = (0.5, 1.0, 2.4)
 """Times ahead that are written beside the forecast [s]."""
@@ -66,16 +71,20 @@ def _camera(batch: WorldBatch, view: str, palm: np.ndarray) -> Pixel:
 
 
 def _draw_places(page: np.ndarray, thought: Any, pixel: Pixel) -> None:
-    forecast, ahead_s = thought.forecast[0].numpy(), thought.ahead_s.numpy()
+    forecast = thought.forecast[0].numpy()
+    ahead_s = thought.ahead_s.numpy()
     for place, seconds in reversed(list(zip(forecast, ahead_s, strict=True))):
-        if (at := pixel(place)) is not None:
+        at = pixel(place)
+        if at is not None:
             cv2.circle(page, at, max(2, round(6 - 2 * seconds)), EXPECTED, -1, cv2.LINE_AA)
             if np.isclose(seconds, TIMES_S, atol=0.06).any():
                 _write(page, f"{seconds:.1f} s", (at[0] + 7, at[1] - 5), EXPECTED)
     for place in thought.sighted[0].numpy():
-        if (at := pixel(place)) is not None:
+        at = pixel(place)
+        if at is not None:
             cv2.drawMarker(page, at, SIGHTED, cv2.MARKER_CROSS, 22, 2, cv2.LINE_AA)
-    if (at := pixel(thought.intercept[0].numpy())) is not None:
+    at = pixel(thought.intercept[0].numpy())
+    if at is not None:
         cv2.circle(page, at, 13, MEETING, 2, cv2.LINE_AA)
 
 

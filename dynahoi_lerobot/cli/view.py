@@ -111,7 +111,8 @@ class Options:
 
 def run(options: Options) -> int:
     """Write the clip; return the exit code."""
-    if (suffix := options.out.suffix) not in WRITERS:
+    suffix = options.out.suffix
+    if suffix not in WRITERS:
         raise ValueError(
             f"cannot write {suffix or 'a file without suffix'!r}; use {', '.join(WRITERS)}"
         )
@@ -149,7 +150,8 @@ def _sample(per_kind: int, options: Options) -> int:
         raise ValueError(
             f"--sample writes a web page, so --out must end in .html, got {options.out}"
         )
-    (store := Store(options.dataset)).check_files()
+    store = Store(options.dataset)
+    store.check_files()
     if not all("motion" in row for row in store.rows):
         raise ValueError(
             f"{options.dataset} does not name the motions of its episodes, so there is nothing "
@@ -232,7 +234,8 @@ def _clip(episode: Episode, view: str, agent: str) -> Clip:
 
 def _from_dataset(root: Path, options: Options) -> Clip:
     """Read an episode of a dataset."""
-    (store := Store(root)).check_files()
+    store = Store(root)
+    store.check_files()
     if not 0 <= options.episode < store.episodes:
         raise ValueError(f"--episode must be 0 to {store.episodes - 1}, got {options.episode}")
     key = _camera_key(options, store)
@@ -244,7 +247,8 @@ def _from_dataset(root: Path, options: Options) -> Clip:
 
 def _camera_key(options: Options, store: Store) -> str:
     """Return the key of the chosen view's images."""
-    if (key := IMAGE_PREFIX + options.view) not in store.image_keys:
+    key = IMAGE_PREFIX + options.view
+    if key not in store.image_keys:
         cameras = ", ".join(store.image_keys) or "none at all"
         raise ValueError(f"{options.dataset} has no view {options.view!r}, only {cameras}")
     return key
@@ -296,7 +300,9 @@ def _write_mp4(path: Path, clip: Clip) -> None:
     frames = np.pad(clip.frames, [(0, 0), *odd, (0, 0)], mode="edge")
     with av.open(str(path), "w", format="mp4") as video:
         stream = video.add_stream("h264", rate=Fraction(clip.fps).limit_denominator(1001))
-        stream.width, stream.height, stream.pix_fmt = frames.shape[2], frames.shape[1], "yuv420p"
+        stream.width = frames.shape[2]
+        stream.height = frames.shape[1]
+        stream.pix_fmt = "yuv420p"
         for frame in frames:
             video.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
         video.mux(stream.encode())

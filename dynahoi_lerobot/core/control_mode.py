@@ -4,7 +4,8 @@ import numpy as np
 
 from dynahoi_lerobot.core.conventions import HAND_NAMES, PALM_DOF
 
-JOINTS, GRASP = "joints", "grasp"
+JOINTS = "joints"
+GRASP = "grasp"
 CONTROL_MODES = {
     JOINTS: HAND_NAMES,
     GRASP: ("palm_dx", "palm_dy", "palm_dz", "closing"),

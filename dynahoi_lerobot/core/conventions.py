@@ -72,7 +72,9 @@ JOINT_NAMES = tuple(
 HAND_NAMES = (*PALM_AXES, *JOINT_NAMES)
 """Degrees of freedom by name, in the order of actions, states and actuators."""
 
-FURNITURE_STREAM, SCREEN_STREAM, APPEARANCE_STREAM = 0xF0A1, 0x5C4EE7, 0xA99EA
+FURNITURE_STREAM = 0xF0A1
+SCREEN_STREAM = 0x5C4EE7
+APPEARANCE_STREAM = 0xA99EA
 DISTURBANCE_STREAM, RENDER_NOISE_STREAM = 0xD157, 0x0153
 """What begins the seeds of random numbers that an episode itself is not sampled from: it keeps them
 all apart."""

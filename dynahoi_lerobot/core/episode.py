@@ -209,7 +209,8 @@ def joints_reached(
     Returns:
         (..., 15) bool.
     """
-    rotation, wanted = joints - open_joints, reference - open_joints
+    rotation = joints - open_joints
+    wanted = reference - open_joints
     return rotation * np.sign(wanted) >= GRASP_FRACTION * np.abs(wanted) - 1e-6
 
 

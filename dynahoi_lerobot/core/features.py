@@ -134,7 +134,8 @@ PIXELS = "pixels"
 """Key of the dictionary of images in a Gymnasium observation, as LeRobot expects it."""
 ENVIRONMENT_STATE = "observation.environment_state"
 """LeRobot's name for what policies read of the environment besides images."""
-TRUTH, EYE = "truth", "eye"
+TRUTH = "truth"
+EYE = "eye"
 ENVIRONMENT_STATES = {"": "", TRUTH: "environment_state", EYE: "sighting"}
 """What it may be, by value of the rules' ``environment_state``: the name of a feature."""
 SIGHTING_AGES = (0, 2, 4, 8)

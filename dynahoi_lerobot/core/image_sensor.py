@@ -17,7 +17,8 @@ import numpy as np
 
 from dynahoi_lerobot.core.registry import known
 
-GROUP, TRAINING_GROUP = "dynahoi_lerobot.sensors", "dynahoi_lerobot.sensor_trainings"
+GROUP = "dynahoi_lerobot.sensors"
+TRAINING_GROUP = "dynahoi_lerobot.sensor_trainings"
 
 
 class ImageSensor(Protocol):

@@ -67,7 +67,8 @@ def given_words(group: str) -> list[str]:
     from lerobot.configs import parser
 
     plugins = f"--{group}.{parser.PLUGIN_DISCOVERY_SUFFIX}"
-    words, skip = [], False
+    words = []
+    skip = False
     for word in sys.argv[1:]:
         skip = word == plugins or (skip and not word.startswith("--"))
         if not skip and not word.startswith(f"{plugins}="):

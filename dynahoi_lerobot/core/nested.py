@@ -30,7 +30,8 @@ def changed[T](config: T, values: Mapping[str, Any]) -> T:
         ValueError: for a name that no field has, or as the constructors.
     """
     cls: Any = type(config)
-    if unknown := values.keys() - set(field_names(cls)):
+    unknown = values.keys() - set(field_names(cls))
+    if unknown:
         allowed = ", ".join(field_names(cls))
         raise ValueError(f"{cls.__name__} has no {min(unknown)!r}; its fields: {allowed}")
     changes = {}

@@ -15,7 +15,8 @@ class _Lines(io.TextIOBase):
 
     def write(self, text: str) -> int:
         """Print text that is not blank."""
-        if line := text.strip():
+        line = text.strip()
+        if line:
             print(line, file=sys.stderr, flush=True)
         return len(text)
 

@@ -54,9 +54,8 @@ def exclusive(folder: Path) -> Iterator[None]:
         FileExistsError: if a link, hard or symbolic, has the lock's name; what it leads to would be
             overwritten.
     """
-    if (lock := folder / LOCK).is_symlink() or (
-        lock.exists() and not (lock.is_file() and lock.stat().st_nlink == 1)
-    ):
+    lock = folder / LOCK
+    if lock.is_symlink() or (lock.exists() and not (lock.is_file() and lock.stat().st_nlink == 1)):
         raise FileExistsError(f"{lock} is a link, not a lock; remove it or choose another folder")
     with lock.open("a+") as file:
         try:
@@ -102,7 +101,8 @@ def _refuse_foreign(path: Path) -> None:
     if (path / TASK).exists():
         return
     names = sorted(entry.name for entry in path.iterdir())
-    if foreign := [name for name in names if name != LOCK and not name.startswith(f".{TASK}.")]:
+    foreign = [name for name in names if name != LOCK and not name.startswith(f".{TASK}.")]
+    if foreign:
         raise FileExistsError(
             f"{path} holds {foreign[0]} but no {TASK}, so it is not the folder of an interrupted "
             f"run; remove it or "

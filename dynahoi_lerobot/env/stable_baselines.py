@@ -26,12 +26,14 @@ class Worlds(VecEnv):
     """
 
     def __init__(self, env: VectorEnv) -> None:
-        mode, space = env.metadata["autoreset_mode"], env.single_observation_space
+        mode = env.metadata["autoreset_mode"]
+        space = env.single_observation_space
         if mode != AutoresetMode.SAME_STEP:
             raise ValueError(f"autoreset_mode must be 'SameStep', got {mode.value!r}")
         if not isinstance(space, spaces.Dict) or "pixels" in space.spaces:
             raise ValueError("the environment must have no camera; make it with image_size=0")
-        self._env, self._keys = env, list(space.spaces)
+        self._env = env
+        self._keys = list(space.spaces)
         self._seed: int | None = None
         self._actions = np.zeros(0)
         super().__init__(env.num_envs, spaces.flatten_space(space), env.single_action_space)

@@ -36,7 +36,8 @@ def unit_actions[E: (gym.Env, VectorEnv)](env: E) -> E:
     step_m = CONTROL_CLASSES[rules.control_class].palm_speed_m_s * CONTROL_DT
 
     def as_grasp(actions: np.ndarray) -> np.ndarray:
-        palm, closing = step_m * actions[..., :PALM_DOF], (1 + actions[..., PALM_DOF:]) / 2
+        palm = step_m * actions[..., :PALM_DOF]
+        closing = (1 + actions[..., PALM_DOF:]) / 2
         return np.concatenate([palm, closing], axis=-1)
 
     if isinstance(env, VectorEnv):

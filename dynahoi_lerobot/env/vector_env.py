@@ -36,7 +36,8 @@ DEFAULT_RECIPE = Recipe(split="test")
 RENDER_MODES = ("rgb_array",)
 RANDOM_SEED_LIMIT = 2**31
 """Seeds that the environment draws itself are below this."""
-SPARSE, DENSE = "sparse", "dense"
+SPARSE = "sparse"
+DENSE = "dense"
 REWARDS = {
     SPARSE: "1 at the first step that begins in a frame by which the episode is a success, else 0",
     DENSE: "the same, plus in the control phase P(s') - P(s), the change of P = c exp(-d) - d: how "
@@ -154,10 +155,13 @@ class DynahoiVectorEnv(VectorEnv):
                 f"unknown render mode {render_mode!r}; known: {', '.join(RENDER_MODES)}, or None"
             )
         known("reward", reward, REWARDS)
-        self.num_envs, self.render_mode = num_envs, render_mode
+        self.num_envs = num_envs
+        self.render_mode = render_mode
         if episodes is not None and episodes < 1:
             raise ValueError(f"episodes must be at least 1, or None for all, got {episodes}")
-        self.kind, self.episodes, self.reward = kind, episodes, reward
+        self.kind = kind
+        self.episodes = episodes
+        self.reward = reward
         self.recipe = changed(recipe, fields)
         if kind is not None and kind not in self.recipe.motion_names:
             self.recipe = replace(self.recipe, motions=(kind,))
@@ -171,7 +175,9 @@ class DynahoiVectorEnv(VectorEnv):
             "autoreset mode", mode, {one.value: one for one in AutoresetMode}
         )
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
-        self._threads, self._on_episode, self._inference = threads, on_episode, inference
+        self._threads = threads
+        self._on_episode = on_episode
+        self._inference = inference
         self._specs = SpecsAhead(self.recipe, threads=threads, keep=episodes is not None)
         self._step_limit = max_episode_steps
         self._batch = WorldBatch(rules, num_envs, threads)
@@ -211,10 +217,8 @@ class DynahoiVectorEnv(VectorEnv):
         """
         self._check_open()
         options = options or {}
-        one_episode, mask = (
-            bool(options.get(ONE_EPISODE_OPTION, False)),
-            self._mask(options.get("reset_mask")),
-        )
+        one_episode = bool(options.get(ONE_EPISODE_OPTION, False))
+        mask = self._mask(options.get("reset_mask"))
         if self._inference is not None and not (one_episode and mask.all()):
             option = f"options={{{ONE_EPISODE_OPTION!r}: True}}"
             raise ValueError(f"with inference async all worlds begin together; reset with {option}")
@@ -395,7 +399,8 @@ class DynahoiVectorEnv(VectorEnv):
         self._cut[ids] = [limit < job.frames for job in jobs]
         jobs = [replace(job, frames=int(min(job.frames, limit))) for job in jobs]
         self._session.begin(ids, jobs)
-        self._max_frames[ids], self._success[ids] = [job.frames for job in jobs], False
+        self._max_frames[ids] = [job.frames for job in jobs]
+        self._success[ids] = False
         self._potential = self._measured_potential()
 
     def _seeds(self, numbers: np.ndarray) -> list[int]:

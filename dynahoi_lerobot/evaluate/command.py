@@ -209,7 +209,8 @@ def _actor(options: Options) -> Actor:
                 f"{options.policy} reads {ENVIRONMENT_STATE}, and its checkpoint does not say "
                 f"which; add --environment-state {TRUTH} or {EYE}"
             )
-        actor.environment_state, actor.privileged = shown, shown == TRUTH
+        actor.environment_state = shown
+        actor.privileged = shown == TRUTH
     if actor.environment_state == TRUTH and shown is None:
         raise ValueError(
             f"{options.policy} reads {ENVIRONMENT_STATE}, the simulator's truth; add "

@@ -144,7 +144,8 @@ def _both_played(a: Results, b: Results) -> list[tuple[int, int]]:
     """Return the place in A and that in B of every episode that both have; the first place, if it
     was played more than once.
     """
-    in_a, in_b = _places(a), _places(b)
+    in_a = _places(a)
+    in_b = _places(b)
     return [(in_a[key], in_b[key]) for key in sorted(in_a.keys() & in_b.keys())]
 
 
@@ -164,7 +165,8 @@ def _difference(metric: Metric, differences: np.ndarray) -> Comparison:
     unequal = differences[differences != 0]
     turned = unequal.size > 0 and unequal[0] < 0
     forward = (-differences if turned else differences) + 0.0  # no -0.0
-    value, n = float(forward.mean()), len(forward)
+    value = float(forward.mean())
+    n = len(forward)
     low, high = bootstrap(forward)
     p_value = _p_value(metric, forward)
     if turned:
@@ -192,7 +194,8 @@ def sign_flip(differences: np.ndarray) -> float:
     share of choices of signs whose mean is as far from 0. It is exact for few episodes: of five,
     none is below 2 / 32.
     """
-    values, exact = np.sort(differences), 2 ** len(differences) <= RESAMPLES
+    values = np.sort(differences)
+    exact = 2 ** len(differences) <= RESAMPLES
     if exact:
         flipped = np.arange(2 ** len(values))[:, None] >> np.arange(len(values)) & 1  # (2^n, n)
     else:

@@ -23,8 +23,10 @@ localized."""
 
 BORDER_PX = 3
 CAPTION_PX = 16
-STRIP, INK = (30, 30, 34), (235, 235, 235)
-FONT, FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.38
+STRIP = (30, 30, 34)
+INK = (235, 235, 235)
+FONT = cv2.FONT_HERSHEY_SIMPLEX
+FONT_SCALE = 0.38
 COLORS, PALETTE_PAGES = 128, 8
 """Colors of a GIF, and how many of its pages they are chosen from."""
 EPISODE_PX = 192

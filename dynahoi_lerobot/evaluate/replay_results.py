@@ -144,7 +144,8 @@ def _unseen_rules(results: Results) -> dict[str, tuple[Any, Any]]:
 
 def check_results(results: Results, recipe: Recipe) -> Iterator[str]:
     """Yield what in results and their folder is wrong by itself, before anything is played."""
-    info, split = results.info, split_of(results.info.split)
+    info = results.info
+    split = split_of(results.info.split)
     if info.benchmark != BENCHMARK_ID:
         yield f"the results are of benchmark {info.benchmark}, here is {BENCHMARK_ID}"
     for name, played in (("split", info.split), ("capture", info.capture)):
@@ -154,9 +155,11 @@ def check_results(results: Results, recipe: Recipe) -> Iterator[str]:
     if order != sorted(order):
         yield "the episodes are not in the order of their split"
     seeds = Counter(order)
-    if repeated := sorted(seed for seed, count in seeds.items() if count > 1):
+    repeated = sorted(seed for seed, count in seeds.items() if count > 1)
+    if repeated:
         yield f"seed {repeated[0]} is there {seeds[repeated[0]]} times"
-    if foreign := sorted(set(seeds) - set(split_seeds(split))):
+    foreign = sorted(set(seeds) - set(split_seeds(split)))
+    if foreign:
         yield f"seed {foreign[0]} is not in split {info.split}"
     if not results.privileged and (again := [row for row in results.rows if row["attempts"] != 1]):
         yield f"seed {again[0]['seed']} took {again[0]['attempts']} attempts; a policy has one"

@@ -246,7 +246,8 @@ class Results:
         A metric that applies to no episode has the value None and the count 0. ``n_success`` and
         ``pc_success_ci95``, Wilson's interval in percent, are named as in LeRobot.
         """
-        info, names = self.info, measured(self.rows)
+        info = self.info
+        names = measured(self.rows)
         n_success = sum(row["success"] for row in self.rows)
         return {
             "schema": SCHEMA,

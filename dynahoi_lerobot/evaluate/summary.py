@@ -25,7 +25,8 @@ def wilson(successes: int, count: int) -> tuple[float, float]:
     Unlike the normal approximation's, it has a width at 0 and at ``count`` successes (E. B. Wilson,
     JASA 1927).
     """
-    rate, spread = successes / count, Z_95**2 / count
+    rate = successes / count
+    spread = Z_95**2 / count
     center = (rate + spread / 2) / (1 + spread)
     half = math.sqrt(rate * (1 - rate) * spread + spread**2 / 4) / (1 + spread)
     # at the ends the interval touches 0 or 1 exactly; rounding must not push it past the rate

@@ -70,7 +70,8 @@ class Table:
         ]
         columns = [list(column) for column in zip(self.head, *texts, strict=True)]
         for i, column in enumerate(columns):
-            width, right = max(map(len, column)), any(row[i].key is not None for row in self.rows)
+            width = max(map(len, column))
+            right = any(row[i].key is not None for row in self.rows)
             columns[i] = [text.rjust(width) if right else text.ljust(width) for text in column]
         lines = ["  ".join(line).rstrip() for line in zip(*columns, strict=True)]
         return "\n".join(
@@ -136,7 +137,8 @@ def metrics_table(
 
 def kind_table(results: Results, caption: str = "") -> Table:
     """Return one row per kind of motion, each metric with its interval."""
-    columns, counts = columns_for([results]), Counter(row["kind"] for row in results.rows)
+    columns = columns_for([results])
+    counts = Counter(row["kind"] for row in results.rows)
     rows = tuple(
         (
             Cell(kind),
@@ -157,7 +159,8 @@ def category_table(
     """
     found = [result.by("category") for result in results]
     categories = STRATA["category"].arrange({label for groups in found for label in groups})
-    head, columns = [], []
+    head = []
+    columns = []
     for category in categories:
         estimates = [groups[category][name] if category in groups else None for groups in found]
         counts = {estimate.n for estimate in estimates if estimate is not None}

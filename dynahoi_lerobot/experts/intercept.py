@@ -58,10 +58,8 @@ class Intercept(Expert):
 
     def first_meeting(self, spec: EpisodeSpec, control: ControlClass) -> Meeting:
         """Return the meeting of its first plan, from the open hand at home."""
-        path_w, waiting = (
-            _path_from(spec, spec.window_frames),
-            np.concatenate([spec.home_pos_w, spec.open_joints]),
-        )
+        path_w = _path_from(spec, spec.window_frames)
+        waiting = np.concatenate([spec.home_pos_w, spec.open_joints])
         arrival = earliest_arrival(waiting, spec.reference_joints, path_w, _speed(control), control)
         return Meeting(path_w[arrival], spec.window_frames + arrival)
 
@@ -80,11 +78,9 @@ def approach(world: WorldView, path_w: np.ndarray, speed_m_s: float) -> np.ndarr
             ``world.due_frame`` on; K > 1.
         speed_m_s: speed limit of the palm [m/s].
     """
-    palm, joints, closed = (
-        world.state[:PALM_DOF],
-        world.state[PALM_DOF:],
-        world.spec.reference_joints,
-    )
+    palm = world.state[:PALM_DOF]
+    joints = world.state[PALM_DOF:]
+    closed = world.spec.reference_joints
     if world.localized:
         return np.concatenate([palm, closed])
     arrival = earliest_arrival(world.state, closed, path_w, speed_m_s, world.control)
@@ -107,7 +103,8 @@ def meeting_goal(world: WorldView, path_w: np.ndarray, speed_m_s: float) -> np.n
     Args:
         world, path_w, speed_m_s: see `approach`.
     """
-    spec, closed = world.spec, _closed_around(world.spec)
+    spec = world.spec
+    closed = _closed_around(world.spec)
     if world.localized:
         return np.concatenate([world.state[:PALM_DOF], closed])
     arrival = earliest_arrival(world.state, closed, path_w, speed_m_s, world.control)

@@ -60,8 +60,10 @@ class Match(Expert):
 
     def goal(self, world: WorldView) -> np.ndarray:
         """Return (18,) where the hand should be one frame later, which labels any state."""
-        spec, palm = world.spec, world.state[:PALM_DOF]
-        opened, closed = spec.open_joints, closed_joints(spec.hand)
+        spec = world.spec
+        palm = world.state[:PALM_DOF]
+        opened = spec.open_joints
+        closed = closed_joints(spec.hand)
         squeezed = closed + SQUEEZE_RAD
         now, ahead = _target(world)
         offset = palm - (now - SEAT_M)
@@ -73,7 +75,9 @@ class Match(Expert):
 
     def first_meeting(self, spec: EpisodeSpec, control: ControlClass) -> Meeting:
         """Return where the fingers begin to close, for a hand that starts at home."""
-        path, frame, palm = spec.target_path_w - SEAT_M, spec.window_frames, spec.home_pos_w
+        path = spec.target_path_w - SEAT_M
+        frame = spec.window_frames
+        palm = spec.home_pos_w
         closes = np.array(False)
         while not closes and frame + 1 < len(path):
             offset, closes = approach(palm - path[frame])
@@ -93,7 +97,8 @@ def approach(offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Returns:
         (..., 3) [m], world, and (...) bool.
     """
-    along, across = offset[..., 0], offset[..., 1:]
+    along = offset[..., 0]
+    across = offset[..., 1:]
     distance = np.sqrt(across[..., 0] ** 2 + across[..., 1] ** 2)
     out = np.clip((distance - IN_LINE_M) / (OUT_OF_LINE_M - IN_LINE_M), 0.0, 1.0)
     fastest = CLOSING_STEP_M + np.clip(-BEHIND_M - along, 0.0, STEP_M - CLOSING_STEP_M)

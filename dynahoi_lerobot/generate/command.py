@@ -137,7 +137,8 @@ def _on_policy(
     """Return what the policy of ``--actor`` changes of the recording, its ``runtime``, and its
     recorder.
     """
-    policy, name = open_policy(actor, trust=options.trust), actor_name(actor)
+    policy = open_policy(actor, trust=options.trust)
+    name = actor_name(actor)
     if told.get("actor", name) != name:
         raise ValueError(f"the recipe names the actor {told['actor']}; --actor {actor} is {name}")
     runs_on = runtime(policy)
@@ -186,7 +187,8 @@ def _encoding(options: Options) -> Encoding:
 
 
 def _summary(root: Path, manifest: Manifest) -> dict[str, Any]:
-    size, yields = sum((root / name).stat().st_size for name in manifest.files), manifest.yields
+    size = sum((root / name).stat().st_size for name in manifest.files)
+    yields = manifest.yields
     with reading(root / MANIFEST_PATH):
         return {
             "root": str(root),

@@ -66,7 +66,8 @@ def make_shards(maker: ShardMaker, data: Any, rank: int, world_size: int) -> Non
     """
     if parent_process() is not None:
         exit_with_parent(os.getppid())
-    if (here := code_fingerprint()) != maker.plan.code:
+    here = code_fingerprint()
+    if here != maker.plan.code:
         raise CommandError(
             f"the plan was made by code {maker.plan.code}, this machine has {here}; update it"
         )
@@ -85,7 +86,8 @@ def merge_shards(
     """
     if finished(maker.plan, root) is None:
         damaged = maker.discard_damaged()
-        if missing := maker.missing():
+        missing = maker.missing()
+        if missing:
             found = (
                 f"{len(missing)} of {maker.plan.shards} shards are missing, {len(damaged)} "
                 f"were damaged"
@@ -137,14 +139,16 @@ def describe(
     kind: str, plan: GenerationPlan, root: Path, record: Record, resources: ClusterResources
 ) -> str:
     """Return what ``run`` would do, without doing it; for Slurm both batch scripts."""
-    root, tasks = root.absolute(), min(resources.tasks or DEFAULT_TASKS, plan.shards)
+    root = root.absolute()
+    tasks = min(resources.tasks or DEFAULT_TASKS, plan.shards)
     maker = ShardMaker(plan, workspace_path(root), record)
     if kind != "slurm":
         return (
             f"{plan.shards} shards of up to {plan.shard_episodes} episodes in {tasks} tasks, "
             f"merged into {root}"
         )
-    existed, scripts = maker.folder.exists(), []
+    existed = maker.folder.exists()
+    scripts = []
     for job in _executors(kind, maker, root, resources):
         launch = (
             f"srun -l -n 1 launch_pickled_pipeline {job.logging_dir.resolve_paths('executor.pik')}"

@@ -64,7 +64,8 @@ def generate(
         ValueError: if no folder can be made at ``root``.
     """
     check_output(root)
-    if (manifest := finished(plan, root)) is None:
+    manifest = finished(plan, root)
+    if manifest is None:
         with open_workspace(plan, root) as workspace:
             maker = ShardMaker(plan, workspace, record)
             maker.discard_damaged()
@@ -90,11 +91,13 @@ def finished(plan: GenerationPlan, root: Path) -> Manifest | None:
         raise FileExistsError(
             f"{root} exists and is no dataset of ours; choose another folder"
         ) from None
-    if names := differences(manifest.provenance, plan.identity()):
+    names = differences(manifest.provenance, plan.identity())
+    if names:
         raise FileExistsError(
             f"{root} holds another dataset (other {names}); choose another folder"
         )
-    if problem := next(file_problems(root, manifest), None):
+    problem = next(file_problems(root, manifest), None)
+    if problem:
         raise CommandError(f"{root} is complete but damaged: {problem}; remove it to make it again")
     return manifest
 

@@ -149,7 +149,8 @@ class ShardMaker:
                 another seed.
             OSError: if the disk is full or refuses to be written.
         """
-        target, plan = self.path(shard), self.plan
+        target = self.path(shard)
+        plan = self.plan
         if target.is_dir():
             return
         columns = (*plan.recording.recipe.rules.features, *privileged_features())
@@ -170,13 +171,12 @@ class ShardMaker:
         Returns:
             How many seeds were tried, kept (of these failed), missed and rejected.
         """
-        slots, tally = (
-            list(self.plan.slots(shard)),
-            Counter(tried=0, kept=0, failed=0, missed=0, rejected=0),
-        )
+        slots = list(self.plan.slots(shard))
+        tally = Counter(tried=0, kept=0, failed=0, missed=0, rejected=0)
         for draw in range(MAX_DRAWS):
             seeds = [slot + draw * REDRAW_STRIDE for slot in slots]
-            missed, rejected = set(seeds), set[int]()
+            missed = set(seeds)
+            rejected = set[int]()
             for episode in self.record(self.plan.recording, seeds):
                 seed = episode.meta.seed
                 if seed not in missed:

@@ -113,10 +113,8 @@ class Hand(ABC):
         spec.compiler.degree = False
         self.add_to(spec)
         model = spec.compile()
-        data, full = (
-            mujoco.MjData(model),
-            np.concatenate([self.full_closure_rad[finger] for finger in FINGERS]),
-        )
+        data = mujoco.MjData(model)
+        full = np.concatenate([self.full_closure_rad[finger] for finger in FINGERS])
         joints = [int(model.joint(name).qposadr[0]) for name in JOINT_NAMES]
         tips = np.zeros((len(closure), len(FINGERS), 3))
         for k, share in enumerate(closure):
@@ -161,7 +159,9 @@ def add_palm(spec: mujoco.MjSpec, fingers_kg: float) -> mujoco.MjsBody:
     """
     palm = spec.worldbody.add_body(name=PALM_BODY, gravcomp=1.0)
     palm.explicitinertial = True
-    palm.mass, palm.inertia, palm.ipos = PALM_MASS_KG, (8e-4,) * 3, (0.0, 0.0, 0.0)
+    palm.mass = PALM_MASS_KG
+    palm.inertia = (8e-4,) * 3
+    palm.ipos = (0.0, 0.0, 0.0)
     for axis, name in enumerate(PALM_AXES):
         slide = mujoco.mjtJoint.mjJNT_SLIDE
         palm.add_joint(
@@ -180,10 +180,12 @@ def add_servo(
     """Add and return a critically damped position servo: force = kp (u - q) - kv qdot, clipped to
     +- ``limit``.
     """
-    kp, kv = inertia * bandwidth_rad_s**2, 2 * inertia * bandwidth_rad_s
+    kp = inertia * bandwidth_rad_s**2
+    kv = 2 * inertia * bandwidth_rad_s
     actuator = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     actuator.set_to_position(kp, kv=kv)
-    actuator.forcelimited, actuator.forcerange = True, (-limit, limit)
+    actuator.forcelimited = True
+    actuator.forcerange = (-limit, limit)
     return actuator
 
 

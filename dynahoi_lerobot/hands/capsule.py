@@ -142,7 +142,9 @@ class CapsuleHand(Hand):
     def _add_finger(
         self, spec: mujoco.MjSpec, palm: mujoco.MjsBody, name: str, finger: Finger
     ) -> None:
-        parent, pos, along = palm, np.asarray(finger.base), np.asarray(finger.along)
+        parent = palm
+        pos = np.asarray(finger.base)
+        along = np.asarray(finger.along)
         for suffix, length in zip(("base", "middle", "tip"), finger.lengths, strict=True):
             link = parent.add_body(name=f"{name}_{suffix}", pos=pos, gravcomp=1.0)
             joint = f"{name}_{suffix}"
@@ -159,7 +161,8 @@ class CapsuleHand(Hand):
                 fromto=np.concatenate([np.zeros(3), along * length]),
                 size=(finger.radius, 0, 0),
             )
-            parent, pos = link, along * length
+            parent = link
+            pos = along * length
         pad = along * finger.lengths[-1] + finger.radius * np.cross(finger.axis, along)
         parent.add_site(name=f"{name}_tip", pos=pad, quat=quat_z_to(along))
 
@@ -172,8 +175,11 @@ HANDS.register("opposed")(
 
 def _pad_position(finger: Finger, joints: np.ndarray) -> np.ndarray:
     """(3,) the fingertip pad [m], palm frame, at joint angles (3,) [rad]."""
-    pos, rotation, along = np.asarray(finger.base, float), np.eye(3), np.asarray(finger.along)
-    quat, turn = np.zeros(4), np.zeros(9)
+    pos = np.asarray(finger.base, float)
+    rotation = np.eye(3)
+    along = np.asarray(finger.along)
+    quat = np.zeros(4)
+    turn = np.zeros(9)
     for angle, link in zip(joints, finger.lengths, strict=True):
         mujoco.mju_axisAngle2Quat(quat, np.asarray(finger.axis), angle)
         mujoco.mju_quat2Mat(turn, quat)

@@ -68,7 +68,8 @@ class RobotHand(Hand):
         """Raise a ValueError if the table lacks a finger, or a finger does not have three joints of
         its own.
         """
-        if missing := [finger for finger in FINGERS if finger not in self.fingers]:
+        missing = [finger for finger in FINGERS if finger not in self.fingers]
+        if missing:
             raise ValueError(
                 f"the hand {self.model!r} has the fingers {', '.join(self.fingers)} and no "
                 f"{' or '.join(missing)}, but "
@@ -110,14 +111,17 @@ class RobotHand(Hand):
         self._check_parts(robot)
         motors = {joint: _motor(robot, joint) for joint in names}
         frame = _reduce(robot, self.palm, names)
-        frame.pos, frame.quat = self.palm_pos_m, self.palm_quat
+        frame.pos = self.palm_pos_m
+        frame.quat = self.palm_quat
         model = _fit_meshes(robot)
         palm = base.add_palm(spec, float(model.body_mass.sum()))
         for option in ("integrator", "cone", "impratio"):
             setattr(robot.option, option, getattr(spec.option, option))
         palm.attach_frame(frame, HAND_GEOM_PREFIX)
         for geom in palm.find_all("geom"):
-            geom.rgba, geom.group, geom.material = (1.0, 1.0, 1.0, 1.0), base.SHOWN_GROUP, ""
+            geom.rgba = (1.0, 1.0, 1.0, 1.0)
+            geom.group = base.SHOWN_GROUP
+            geom.material = ""
         for body in palm.find_all("body"):
             body.gravcomp = 1.0
         for source, name in names.items():
@@ -125,17 +129,20 @@ class RobotHand(Hand):
             low, high = joint.range - self.rest_rad.get(source, 0.0)
             if -low > high:
                 low, high, joint.axis = -high, -low, -joint.axis
-            joint.name, joint.range = name, (min(low, base.IDLE_RANGE_RAD), high)
+            joint.name = name
+            joint.range = (min(low, base.IDLE_RANGE_RAD), high)
             inertia = max(float(model.joint(other).M0[0]) for other in shares)
             servo = base.add_servo(spec, name, inertia, base.FINGER_BANDWIDTH_RAD_S, torque_nm)
             if len(shares) > 1:
-                servo.target, servo.trntype = f"{name}_motor", mujoco.mjtTrn.mjTRN_TENDON
+                servo.target = f"{name}_motor"
+                servo.trntype = mujoco.mjtTrn.mjTRN_TENDON
                 tendon = spec.add_tendon(name=servo.target)
                 for other, share in shares.items():
                     tendon.wrap_joint(names[other], share)
         for name in FINGERS:
             spec.joint(f"{name}_base").parent.name = f"{name}_base"
-            last, tip = spec.joint(f"{name}_tip").parent, self.fingers[name].tip
+            last = spec.joint(f"{name}_tip").parent
+            tip = self.fingers[name].tip
             if isinstance(tip, str):
                 spec.site(HAND_GEOM_PREFIX + tip).name = f"{name}_tip"
             else:
@@ -175,7 +182,9 @@ def _load(model: str, entry: str) -> mujoco.MjSpec:
 
 def _turn(joint: mujoco.MjsJoint, angle: float) -> None:
     """Turn the body of a joint by an angle [rad], from which the joint then counts."""
-    turn, turned, shift = np.zeros(4), np.zeros(4), np.zeros(3)
+    turn = np.zeros(4)
+    turned = np.zeros(4)
+    shift = np.zeros(3)
     mujoco.mju_axisAngle2Quat(turn, joint.axis, angle)
     mujoco.mju_mulQuat(turned, joint.parent.quat, turn)
     mujoco.mju_rotVecQuat(shift, joint.pos, turn)
@@ -187,7 +196,8 @@ def _motor(robot: mujoco.MjSpec, joint: str) -> tuple[dict[str, float], float]:
     """Return the share of each joint that moves with this one in what its motor pulls, and the
     motor's limit [N m].
     """
-    shares, limits = {joint: 1.0}, [robot.joint(joint).actfrcrange[1]]
+    shares = {joint: 1.0}
+    limits = [robot.joint(joint).actfrcrange[1]]
     for actuator in robot.actuators:
         pulled = {actuator.target: 1.0}
         if actuator.trntype == mujoco.mjtTrn.mjTRN_TENDON:
@@ -238,7 +248,10 @@ def _fit_meshes(robot: mujoco.MjSpec) -> mujoco.MjModel:
     model = robot.compile()
     for geom in meshes:
         fitted = model.geom(geom.name)
-        geom.meshname, geom.size, geom.pos, geom.quat = "", fitted.size, fitted.pos, fitted.quat
+        geom.meshname = ""
+        geom.size = fitted.size
+        geom.pos = fitted.pos
+        geom.quat = fitted.quat
     for mesh in list(robot.meshes):
         robot.delete(mesh)
     return model

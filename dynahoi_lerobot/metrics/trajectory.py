@@ -55,7 +55,8 @@ def linearity(steps: np.ndarray, displacement: np.ndarray) -> float:
     """Return the mean cosine between (M, D) steps and the (D,) displacement, 0 where either
     vanishes.
     """
-    lengths, distance = np.linalg.norm(steps, axis=1), np.linalg.norm(displacement)
+    lengths = np.linalg.norm(steps, axis=1)
+    distance = np.linalg.norm(displacement)
     if distance == 0 or len(steps) == 0:
         return 0.0
     cosines = np.divide(

@@ -42,7 +42,8 @@ class CircularMotion(PrescribedMotion):
         """Return (2, 3), the unit vectors e1 and e2 of the plane; horizontal unless a kind says
         otherwise.
         """
-        c, s = cos(self.yaw_rad), sin(self.yaw_rad)
+        c = cos(self.yaw_rad)
+        s = sin(self.yaw_rad)
         return np.array([[c, s, 0.0], [-s, c, 0.0]])
 
     def position(self, time_s: np.ndarray) -> np.ndarray:
@@ -127,7 +128,8 @@ class SwingingArc(PrescribedMotion):
     @classmethod
     def sample(cls, draw: Draw) -> Self:
         """Draw the arc and its rhythm."""
-        radius, swing = draw.uniform(0.25, 0.6), np.radians(draw.uniform(20, 60))
+        radius = draw.uniform(0.25, 0.6)
+        swing = np.radians(draw.uniform(20, 60))
         rate = min(
             2 * np.pi * draw.sample_speed(0.35, 0.8), 1.6 / (radius * swing) * draw.speed_scale
         )
@@ -137,5 +139,6 @@ class SwingingArc(PrescribedMotion):
     def position(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) position [m]."""
         angle = self.swing_rad * sin(self.rate_rad_s * time_s + self.phase_rad)[:, None]
-        along, up = np.array([cos(self.yaw_rad), sin(self.yaw_rad), 0.0]), np.array([0.0, 0.0, 1.0])
+        along = np.array([cos(self.yaw_rad), sin(self.yaw_rad), 0.0])
+        up = np.array([0.0, 0.0, 1.0])
         return np.asarray(self.pivot) + self.radius_m * (along * sin(angle) - up * cos(angle))

@@ -43,7 +43,8 @@ class FigureEight(PrescribedMotion):
     def position(self, time_s: np.ndarray) -> np.ndarray:
         """Return (K, 3) position [m]."""
         q = self.rate_rad_s * time_s + self.phase_rad
-        along, up = sin(q), sin(2 * q) / 2
+        along = sin(q)
+        up = sin(2 * q) / 2
         shape = np.column_stack([cos(self.yaw_rad) * along, sin(self.yaw_rad) * along, up])
         return np.asarray(self.center) + self.amplitude_m * shape
 
@@ -77,7 +78,8 @@ class HarmonicDrift(PrescribedMotion):
     @classmethod
     def sample(cls, draw: Draw) -> Self:
         """Draw drift and oscillation."""
-        speed, amplitude = draw.sample_speed(0.08, 0.3), draw.uniform(0.08, 0.22)
+        speed = draw.sample_speed(0.08, 0.3)
+        amplitude = draw.uniform(0.08, 0.22)
         direction = np.asarray(draw.level_heading(0.5, speed * draw.horizon_s))
         across = np.cross(direction, draw.rng.normal(size=3))
         rate = min(2 * np.pi * draw.sample_speed(0.4, 1.0), 1.2 / amplitude * draw.speed_scale)
@@ -132,7 +134,8 @@ class LineThenArc(PrescribedMotion):
         )  # angle turned after the bend [rad]
         along = self.speed_m_s * np.minimum(since, 0.0) + self.radius_m * sin(turn)
         aside = self.radius_m * (1 - cos(turn))
-        c, s = cos(self.yaw_rad), sin(self.yaw_rad)
+        c = cos(self.yaw_rad)
+        s = sin(self.yaw_rad)
         level = np.column_stack(
             [along * c - aside * s, along * s + aside * c, np.zeros_like(along)]
         )
@@ -167,7 +170,8 @@ class RandomSpline(PrescribedMotion):
         knot_s = KNOT_S / draw.speed_scale
         count = int(np.ceil(draw.horizon_s / knot_s)) + 4
         step = draw.uniform(0.15, 0.45)
-        middle, heading = np.asarray(draw.meeting_point()), draw.rng.normal(size=3)
+        middle = np.asarray(draw.meeting_point())
+        heading = draw.rng.normal(size=3)
         points = [middle + 0.1 * draw.rng.normal(size=3)]
         for _ in range(count - 1):
             heading = 0.6 * heading / norm(heading) + 0.6 * draw.rng.normal(size=3)

@@ -140,7 +140,8 @@ class WallRebound(TabletopMotion):
         """Return the target sliding on the table, fast enough to meet the wall at ``impact_s``, and
         the wall.
         """
-        direction, reach = self.direction(), reach_m(target)
+        direction = self.direction()
+        reach = reach_m(target)
         lost = (
             self.friction * GRAVITY_M_S2 * self.impact_s
         )  # speed lost to friction on the way [m/s]

@@ -97,14 +97,18 @@ class RollingMotion(PhysicalMotion):
 
     def slope_axes(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the (3,) unit vectors down the slope and out of it."""
-        flat, up = np.asarray(heading(self.yaw_rad)), np.array([0.0, 0.0, 1.0])
-        c, s = cos(self.slope_rad), sin(self.slope_rad)
+        flat = np.asarray(heading(self.yaw_rad))
+        up = np.array([0.0, 0.0, 1.0])
+        c = cos(self.slope_rad)
+        s = sin(self.slope_rad)
         return c * flat - s * up, s * flat + c * up
 
     def _lying(self) -> Quaternion:
         """Lay the object's axis of symmetry horizontally across the slope."""
-        half, root = self.yaw_rad / 2, float(np.sqrt(0.5))
-        c, s = float(cos(half)), float(sin(half))
+        half = self.yaw_rad / 2
+        root = float(np.sqrt(0.5))
+        c = float(cos(half))
+        s = float(sin(half))
         return (
             c * root,
             -c * root,
@@ -153,7 +157,8 @@ class RampAndRunout(RollingMotion):
         """Return the slope, which ends under the meeting point, and the level track that begins
         there.
         """
-        flat, up = np.asarray(heading(self.yaw_rad)), np.array([0.0, 0.0, 1.0])
+        flat = np.asarray(heading(self.yaw_rad))
+        up = np.array([0.0, 0.0, 1.0])
         foot = np.asarray(self.meeting) - target.roll_radius_m * normal
         center = foot + RUNOUT_HALF_M * flat - PLANK_HALF_THICKNESS_M * up
         track = Box(

@@ -35,7 +35,10 @@ def yaw_pitch_quat(yaw: float, pitch: float) -> Quaternion:
     """Return the rotation that turns +x to ``yaw`` and to ``pitch`` below the horizontal [rad],
     wxyz.
     """
-    cy, sy, cp, sp = cos(yaw / 2), sin(yaw / 2), cos(pitch / 2), sin(pitch / 2)
+    cy = cos(yaw / 2)
+    sy = sin(yaw / 2)
+    cp = cos(pitch / 2)
+    sp = sin(pitch / 2)
     return (float(cy * cp), float(-sy * sp), float(cy * sp), float(sy * cp))
 
 

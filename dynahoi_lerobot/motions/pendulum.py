@@ -68,7 +68,8 @@ def _into_frame(vector: np.ndarray, axis: np.ndarray, angle: float) -> np.ndarra
     """Components of a world vector in a frame that was turned by ``angle`` about ``axis``
     (Rodrigues, backwards).
     """
-    c, s = cos(-angle), sin(-angle)
+    c = cos(-angle)
+    s = sin(-angle)
     return vector * c + np.cross(axis, vector) * s + axis * product(axis, vector) * (1 - c)
 
 

@@ -129,7 +129,8 @@ class Bounce(PhysicalMotion):
     @classmethod
     def sample(cls, draw: Draw) -> Self:
         """Draw drop, drift and rebound; the meeting lies in the first rebound."""
-        height, restitution = draw.uniform(0.5, 0.9), draw.uniform(0.75, 0.9)
+        height = draw.uniform(0.5, 0.9)
+        restitution = draw.uniform(0.75, 0.9)
         fall_s = np.sqrt(2 * (height - draw.target.rest_height_m) / GRAVITY_M_S2)
         meeting_s = fall_s * (1 + 2 * restitution * draw.uniform(0.15, 0.7))
         velocity = np.asarray(heading(np.pi + draw.uniform(-0.8, 0.8))) * draw.sample_speed(

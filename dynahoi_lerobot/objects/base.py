@@ -71,7 +71,9 @@ class ObjectType:
         self, name: str, sample_geometry: SampleGeometry, *, rolls: bool, slides: bool
     ) -> None:
         functools.update_wrapper(self, sample_geometry)  # type: ignore[arg-type]
-        self.name, self.rolls, self.slides = name, rolls, slides
+        self.name = name
+        self.rolls = rolls
+        self.slides = slides
         self._sample_geometry = sample_geometry
 
     def sample(self, rng: np.random.Generator) -> TargetObject:

@@ -46,29 +46,34 @@ def block(rng: np.random.Generator) -> ObjectGeometry:
 @object_type("cylinder", rolls=True, slides=True)
 def cylinder(rng: np.random.Generator) -> ObjectGeometry:
     """A can: a cylinder of radius 2.5 to 3.5 cm and half height 3 to 5 cm."""
-    radius, half = rng.uniform(0.025, 0.035), rng.uniform(0.03, 0.05)
+    radius = rng.uniform(0.025, 0.035)
+    half = rng.uniform(0.03, 0.05)
     return ObjectGeometry((Primitive("cylinder", (radius, half)),), radius, half, radius)
 
 
 @object_type("disc", slides=True)
 def disc(rng: np.random.Generator) -> ObjectGeometry:
     """A disc: a flat cylinder of radius 3 to 4.2 cm and half height 0.8 to 1.2 cm."""
-    radius, half = rng.uniform(0.03, 0.042), rng.uniform(0.008, 0.012)
+    radius = rng.uniform(0.03, 0.042)
+    half = rng.uniform(0.008, 0.012)
     return ObjectGeometry((Primitive("cylinder", (radius, half)),), radius, half)
 
 
 @object_type("capsule", rolls=True)
 def capsule(rng: np.random.Generator) -> ObjectGeometry:
     """A capsule of radius 2.2 to 3.2 cm and half length 1.5 to 3.5 cm between the caps."""
-    radius, half = rng.uniform(0.022, 0.032), rng.uniform(0.015, 0.035)
+    radius = rng.uniform(0.022, 0.032)
+    half = rng.uniform(0.015, 0.035)
     return ObjectGeometry((Primitive("capsule", (radius, half)),), radius, radius + half, radius)
 
 
 @object_type("bottle")
 def bottle(rng: np.random.Generator) -> ObjectGeometry:
     """A bottle: a body of radius 2.4 to 3.2 cm, a neck 0.45 times as wide and a spherical cap."""
-    radius, half = rng.uniform(0.024, 0.032), rng.uniform(0.035, 0.05)
-    neck_radius, neck_half = 0.45 * radius, 0.35 * half
+    radius = rng.uniform(0.024, 0.032)
+    half = rng.uniform(0.035, 0.05)
+    neck_radius = 0.45 * radius
+    neck_half = 0.35 * half
     shift = 0.12 * half  # puts the center of mass at the origin, within a few per cent
     body = Primitive("cylinder", (radius, half), (0.0, 0.0, -shift))
     neck = Primitive("cylinder", (neck_radius, neck_half), (0.0, 0.0, half - shift + neck_half))
@@ -81,7 +86,8 @@ def cup(rng: np.random.Generator) -> ObjectGeometry:
     """A mug: a solid cylinder of radius 2.8 to 3.6 cm and half height 3 to 4.2 cm, with a handle of
     three bars.
     """
-    radius, half = rng.uniform(0.028, 0.036), rng.uniform(0.03, 0.042)
+    radius = rng.uniform(0.028, 0.036)
+    half = rng.uniform(0.03, 0.042)
     body = Primitive("cylinder", (radius, half))
     bar = Primitive("capsule", (0.005, 0.5 * half), (0.0, radius + 0.016, 0.0))
     upper = Primitive("capsule", (0.005, 0.01), (0.0, radius + 0.008, 0.5 * half), ABOUT_X)
@@ -92,7 +98,8 @@ def cup(rng: np.random.Generator) -> ObjectGeometry:
 @object_type("cone")
 def cone(rng: np.random.Generator) -> ObjectGeometry:
     """A cone of base radius 2.8 to 3.8 cm and height 6 to 9 cm, stacked from six cylinders."""
-    radius, slice_half = rng.uniform(0.028, 0.038), rng.uniform(0.005, 0.0075)
+    radius = rng.uniform(0.028, 0.038)
+    slice_half = rng.uniform(0.005, 0.0075)
     widths = radius * (1 - np.arange(6) / 6)
     middles = (2 * np.arange(6) + 1) * slice_half  # above the base
     center = float(np.average(middles, weights=widths**2))
@@ -106,7 +113,8 @@ def cone(rng: np.random.Generator) -> ObjectGeometry:
 @object_type("dumbbell")
 def dumbbell(rng: np.random.Generator) -> ObjectGeometry:
     """A dumbbell: two balls of radius 2 to 2.8 cm on a bar, their centers 5 to 8 cm apart."""
-    radius, half = rng.uniform(0.02, 0.028), rng.uniform(0.025, 0.04)
+    radius = rng.uniform(0.02, 0.028)
+    half = rng.uniform(0.025, 0.04)
     bar = Primitive("capsule", (0.4 * radius, half))
     ends = [Primitive("sphere", (radius,), (0.0, 0.0, z)) for z in (-half, half)]
     return ObjectGeometry((bar, *ends), radius, half + radius)
@@ -117,7 +125,8 @@ def jack(rng: np.random.Generator) -> ObjectGeometry:
     """A jack: three crossed bars of radius 0.9 to 1.2 cm and half length 3 to 4 cm between the
     caps.
     """
-    tube, half = rng.uniform(0.009, 0.012), rng.uniform(0.03, 0.04)
+    tube = rng.uniform(0.009, 0.012)
+    half = rng.uniform(0.03, 0.04)
     turns = (IDENTITY_QUAT, ABOUT_X, ABOUT_Y)
     bars = tuple(Primitive("capsule", (tube, half), quat=turn) for turn in turns)
     return ObjectGeometry(bars, 0.8 * half, half + tube)
@@ -126,11 +135,13 @@ def jack(rng: np.random.Generator) -> ObjectGeometry:
 @object_type("ring", slides=True)
 def ring(rng: np.random.Generator) -> ObjectGeometry:
     """A ring of eight segments, 2.8 to 3.6 cm from the center to the middle of its 0.8 cm tube."""
-    radius, tube = rng.uniform(0.028, 0.036), 0.008
+    radius = rng.uniform(0.028, 0.036)
+    tube = 0.008
     half = float(radius * tan(np.pi / 8))
     segments = []
     for i in range(8):
-        x, y = float(cos(i * np.pi / 4)), float(sin(i * np.pi / 4))
+        x = float(cos(i * np.pi / 4))
+        y = float(sin(i * np.pi / 4))
         tangent = (
             0.5**0.5,
             -(0.5**0.5) * x,

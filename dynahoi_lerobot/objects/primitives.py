@@ -76,7 +76,8 @@ def from_table(table: np.ndarray) -> tuple[Primitive, ...]:
         ValueError: if a geom type is none of ``GEOM_TYPES``.
     """
     shapes = {code: shape for shape, code in GEOM_TYPES.items()}
-    if unknown := sorted(set(table[:, 0].tolist()) - set(shapes)):
+    unknown = sorted(set(table[:, 0].tolist()) - set(shapes))
+    if unknown:
         raise ValueError(f"geom type {unknown[0]:g} is none of {', '.join(map(str, shapes))}")
     return tuple(
         Primitive(shapes[kind], (a, b, c), (x, y, z), (qw, qx, qy, qz))
@@ -136,8 +137,10 @@ def _capsule_unit_inertia(radius: float, half: float) -> np.ndarray:
     """(3,) moments of inertia per unit mass [m^2] of a cylinder of half length ``half`` with two
     hemispherical caps.
     """
-    barrel, caps = np.pi * radius**2 * 2 * half, 4 / 3 * np.pi * radius**3
-    mb, mc = barrel / (barrel + caps), caps / (barrel + caps)
+    barrel = np.pi * radius**2 * 2 * half
+    caps = 4 / 3 * np.pi * radius**3
+    mb = barrel / (barrel + caps)
+    mc = caps / (barrel + caps)
     axial = mb * radius**2 / 2 + mc * 0.4 * radius**2
     across = mb * (3 * radius**2 + 4 * half**2) / 12 + mc * (
         0.4 * radius**2 + half**2 + 0.75 * half * radius

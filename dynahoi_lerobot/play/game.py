@@ -29,7 +29,8 @@ PRACTICE_STEP = 7919
 SHOWN = ("S_loc", "S_gra", "E_loc", "E_gra", "Q_smooth", "Q_line", "R_time")
 """The paper's seven metrics."""
 CLIP_PX = 192
-PRACTICE, SCORED = "practice", "scored"
+PRACTICE = "practice"
+SCORED = "scored"
 
 
 @dataclass
@@ -61,7 +62,8 @@ class Game:
             await player.tell(
                 ready={"left": len(self.numbers), "total": self.total, "practised": self.practised}
             )
-            if (asked := await player.asked.get()) is None:
+            asked = await player.asked.get()
+            if asked is None:
                 return
             practising = asked != SCORED or not self.numbers
             world = self.practice if practising else self.world
@@ -90,7 +92,8 @@ class Game:
         """Return the page's summary of an episode: metrics and clips of the player and of the
         others.
         """
-        spec, rows = world.spec, [("you", episode)]
+        spec = world.spec
+        rows = [("you", episode)]
         for actor in self.others:
             rules = world.recipe.rules
             shown = replace(rules, views=tuple(dict.fromkeys((*rules.views, *actor.views))))

@@ -62,9 +62,12 @@ class LiveWorld:
             record_images: whether the recording of an episode holds its images.
             clock: returns the time [s].
         """
-        self.recipe, self.kind, self.missed = recipe, kind, 0
+        self.recipe = recipe
+        self.kind = kind
+        self.missed = 0
         self.finished: Episode | None = None
-        self._realtime, self._clock = realtime, clock
+        self._realtime = realtime
+        self._clock = clock
         self._session = Session(WorldBatch(recipe.rules, 1), record_images=record_images)
         self._expert = EXPERTS[recipe.rules.capture_rule.expert]()
         self._started_s: float | None = None
@@ -81,9 +84,12 @@ class LiveWorld:
         [self.spec] = sample_specs(self.recipe, [kind_seed(self.recipe, self.kind, number)])
         self._session.begin([0], [Job.evaluation(number, self.spec)])
         self._session.observe(images=self._session.record_images)
-        self._command, self._fresh = self._session.batch.executed[0].copy(), False
+        self._command = self._session.batch.executed[0].copy()
+        self._fresh = False
         self._started_s, self._observed_s = None, self._clock()
-        self.missed, self.finished, self._player = 0, None, player
+        self.missed = 0
+        self.finished = None
+        self._player = player
 
     @property
     def batch(self) -> WorldBatch:
@@ -95,7 +101,8 @@ class LiveWorld:
         """What a player is told of the present: the task, seconds left of window and episode,
         whether it is caught.
         """
-        spec, frame = self.spec, int(self.batch.frame[0])
+        spec = self.spec
+        frame = int(self.batch.frame[0])
         return {
             "task": spec.task,
             "window_s": max(0, spec.window_frames - frame) / CONTROL_HZ,
@@ -135,7 +142,8 @@ class LiveWorld:
             self._started_s = now_s - min(now_s - self._observed_s, 1 / CONTROL_HZ) / 2
         else:
             self.catch_up()
-        self._command, self._fresh = given, True
+        self._command = given
+        self._fresh = True
         if not self._realtime and self.finished is None:
             self._tick()
 

@@ -50,7 +50,8 @@ class Player:
 
     async def show(self, image: np.ndarray, **facts: Any) -> None:
         """Send an image (H, W, 3) uint8 RGB, and JSON values about it."""
-        echo, self.sent_ms = self.sent_ms, None
+        echo = self.sent_ms
+        self.sent_ms = None
         encoded = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[
             1
         ]
@@ -107,7 +108,10 @@ class PlayServer:
         if host not in LOOPBACK and not token:
             raise ValueError(f"host {host} can be reached by others, so it needs a token")
         self.address = ""
-        self._game, self._host, self._port, self._token = game, host, port, token
+        self._game = game
+        self._host = host
+        self._port = port
+        self._token = token
         self._playing: web.WebSocketResponse | None = None
 
     async def run(self, started: Callable[[str], None]) -> None:
@@ -172,7 +176,8 @@ class PlayServer:
                 code=BUSY, message=b"somebody is playing already; close the other tab"
             )
             return socket
-        self._playing, player = socket, Player(socket)
+        self._playing = socket
+        player = Player(socket)
         game = asyncio.ensure_future(self._game(player))
         try:
             async for message in socket:

@@ -92,7 +92,9 @@ class ImageStream:
     """
 
     def __init__(self, recipe: PretrainRecipe, worker: int = 0, n_workers: int = 1) -> None:
-        self._recipe, self._worker, self._n_workers = recipe, worker, n_workers
+        self._recipe = recipe
+        self._worker = worker
+        self._n_workers = n_workers
 
     def __call__(self, update: int) -> Iterator[Snapshots]:
         """Yield images forever, as a run that resumes from ``update`` sees them; hands take
@@ -154,14 +156,16 @@ def snapshots(
             ):
                 batch.place(hand, np.concatenate([target, turns], axis=1))
                 images.append(batch.cameras.render(view=camera))
-            palm, target = poses[:, NOW, :PALM_DOF], poses[:, NOW, HAND_DOF:]
+            palm = poses[:, NOW, :PALM_DOF]
+            target = poses[:, NOW, HAND_DOF:]
             place = target - palm if camera == EGO_VIEW else target
             yield Snapshots(
                 np.concatenate(images, axis=-1), place.astype(np.float32), target - palm
             )
 
 
-NOW, BEFORE = 0, 1
+NOW = 0
+BEFORE = 1
 
 
 def _pose(spec: EpisodeSpec, rng: np.random.Generator) -> np.ndarray:

@@ -30,7 +30,9 @@ class Renderer(ABC):
         """Prepare to render ``batch``, of ``scene.model``, from the model's camera of that name;
         see the attributes.
         """
-        self.scene, self.batch, self.image_size = scene, batch, image_size
+        self.scene = scene
+        self.batch = batch
+        self.image_size = image_size
         self.camera = scene.model.camera(camera).id
 
     @abstractmethod

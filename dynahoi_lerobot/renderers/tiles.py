@@ -80,10 +80,8 @@ class TileRenderer(Renderer):
         _check_model(scene.model, self._shown)
         device = default_device()
         threads = batch.nthread if device == "cpu" else 1
-        sources, types = (
-            world_fields(batch, APPEARANCE_FIELDS, POSE_FIELDS),
-            APPEARANCE_FIELDS | POSE_FIELDS,
-        )
+        sources = world_fields(batch, APPEARANCE_FIELDS, POSE_FIELDS)
+        types = APPEARANCE_FIELDS | POSE_FIELDS
         with wp.ScopedDevice(device):
             fields = {
                 name: wp.empty(source.shape[:2], dtype=types[name])
@@ -116,17 +114,17 @@ class TileRenderer(Renderer):
         miss.
         """
         self._trace(ids)
-        visible, depths = (
-            self._pixels(self._worlds.visible, len(ids)),
-            self._pixels(self._worlds.depths, len(ids)),
-        )
+        visible = self._pixels(self._worlds.visible, len(ids))
+        depths = self._pixels(self._worlds.depths, len(ids))
         return np.where(visible >= 0, depths, np.float32(0))
 
     def _record_launches(self, fields: Mapping[str, wp.array], threads: int) -> None:
         """Record all launches, as to repeat one is much cheaper than a new one; threads need one
         each.
         """
-        model, intrinsics, worlds = self.scene.model, self._intrinsics, self._worlds
+        model = self.scene.model
+        intrinsics = self._intrinsics
+        worlds = self._worlds
         casts = ~np.isin(self._shown, [self.scene.floor_geom, *self.scene.wall_geoms])
         look = _look(self.scene, self._shown, intrinsics, soft=self.soft)
         textures = textures_of(model, filtered=self.soft)
@@ -195,7 +193,8 @@ class FlatRenderer(TileRenderer):
 
 
 def _check_model(model: mujoco.MjModel, shown: np.ndarray) -> None:
-    if unknown := set(model.geom_type[shown].tolist()) - GEOM_TYPES:
+    unknown = set(model.geom_type[shown].tolist()) - GEOM_TYPES
+    if unknown:
         raise ValueError(
             f"the renderer 'tiles' cannot draw MuJoCo's geom types {sorted(unknown)}; use 'warp'"
         )
@@ -226,11 +225,13 @@ def _intrinsics(model: mujoco.MjModel, camera: int, image_size: int) -> Any:
 
 
 def _look(scene: Scene, shown: np.ndarray, intrinsics: Any, *, soft: bool) -> Any:
-    headlight, look = scene.model.vis.headlight, Look()
+    headlight = scene.model.vis.headlight
+    look = Look()
     look.soft = int(soft)
     look.ambient = wp.vec3(GROUND_LIGHT) if soft else wp.vec3(*headlight.ambient)
     look.fill = wp.vec3(SKY_LIGHT) if soft else wp.vec3(*headlight.diffuse)
     look.sun_wrap, look.fill_wrap = (SUN_WRAP, SKY_WRAP) if soft else (0.0, 0.0)
     look.pixel_rad = 1.0 / intrinsics.focal
-    look.floor, look.room_half_m = int(np.flatnonzero(shown == scene.floor_geom)[0]), ARENA_HALF_M
+    look.floor = int(np.flatnonzero(shown == scene.floor_geom)[0])
+    look.room_half_m = ARENA_HALF_M
     return look

@@ -34,10 +34,8 @@ class WarpRenderer(Renderer):
         super().__init__(scene, batch, image_size, camera)
         self._device = default_device()
         with wp.ScopedDevice(self._device):
-            self._model, self._data = (
-                mjw.put_model(scene.model),
-                mjw.make_data(scene.model, nworld=batch.nsim),
-            )
+            self._model = mjw.put_model(scene.model)
+            self._data = mjw.make_data(scene.model, nworld=batch.nsim)
             for name in APPEARANCE_FIELDS:
                 shared = getattr(self._model, name)
                 setattr(

@@ -77,7 +77,8 @@ def pairs_table(entries: Sequence[Entry], across: Collection[str] = ()) -> Table
 
 
 def _compared(row: Entry, column: Entry, name: str, across: Collection[str]) -> Cell:
-    if unequal := unequal_conditions(row.results, column.results, across):
+    unequal = unequal_conditions(row.results, column.results, across)
+    if unequal:
         return Cell("–", f"other {' and '.join(unequal)}")
     result = _found(row, column, name, across)
     if row is column or result is None:

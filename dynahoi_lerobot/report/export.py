@@ -71,7 +71,8 @@ def write_csv(entries: Sequence[Entry], path: Path, across: Collection[str] = ()
 
 def write_latex(entries: Sequence[Entry], path: Path, across: Collection[str] = ()) -> None:
     """Write the main table, S_loc by category and the pairs as tables of the package booktabs."""
-    labels, results = [entry.label for entry in entries], [entry.results for entry in entries]
+    labels = [entry.label for entry in entries]
+    results = [entry.results for entry in entries]
     main = table.metrics_table(labels, results, table.columns_for(results))
     main = replace(main, caption=f"Main metrics with 95 % intervals: {main.caption}.")
     tables = [main, *category_tables(entries), pairs_table(entries, across)]
@@ -104,7 +105,8 @@ def provenance(entries: Sequence[Entry]) -> list[str]:
     """
     lines = [f"dynahoi report of dynahoi_lerobot {__version__}", STATISTICS]
     for entry in entries:
-        info, rows = entry.results.info, entry.results.rows
+        info = entry.results.info
+        rows = entry.results.rows
         told = {
             "policy": info.policy,
             "split": info.split,

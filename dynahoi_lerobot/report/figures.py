@@ -250,7 +250,8 @@ def failure_stages(entries: Sequence[Entry]) -> Figure:
     """
     drawing, (panel,) = subplots(1, 1, 0.9 + 0.32 * len(entries))
     counts = [Counter(row["stage"] for row in entry.results.rows) for entry in entries]
-    labels, left = [entry.label for entry in entries], np.zeros(len(entries))
+    labels = [entry.label for entry in entries]
+    left = np.zeros(len(entries))
     for stage in [*STAGES, *sorted({stage for count in counts for stage in count} - set(STAGES))]:
         width = np.array([100 * count[stage] / count.total() for count in counts])
         if width.any():
@@ -354,7 +355,8 @@ def time_to_catch(entries: Sequence[Entry]) -> Figure:
         waits = [(row["first_localized"] - row["window_frames"]) * CONTROL_DT for row in hits]
         share = 100 * np.arange(len(waits) + 1) / len(rows)
         longest = max(row["length_frames"] for row in rows) * CONTROL_DT
-        times, shares = [0, *sorted(waits), longest], [*share, share[-1]]
+        times = [0, *sorted(waits), longest]
+        shares = [*share, share[-1]]
         style = line_style(entry.mark) | {"markevery": 0.1, "ms": 4}
         panel.step(times, shares, where="post", **style)
     panel.set(xlabel="time since the control start [s]", ylabel="localized [%]", ylim=(0, 100))
@@ -416,7 +418,8 @@ def latency(entries: Sequence[Entry]) -> Figure | None:
     for entry in sorted(
         (entry for entry in entries if entry.label in known), key=lambda entry: known[entry.label]
     ):
-        info, control_class = entry.results.info, entry.results.conditions["control_class"]
+        info = entry.results.info
+        control_class = entry.results.conditions["control_class"]
         rules = (short_name(info.policy), info.split, info.capture, control_class)
         lines.setdefault(", ".join(rules), []).append(entry)
     titles = [

@@ -125,7 +125,8 @@ def write_page(entries: Sequence[Entry], out: Path, across: Collection[str] = ()
 
 def page_content(entries: Sequence[Entry], across: Collection[str] = ()) -> dict[str, Any]:
     """Return the template's variables."""
-    labels, results = [entry.label for entry in entries], [entry.results for entry in entries]
+    labels = [entry.label for entry in entries]
+    results = [entry.results for entry in entries]
     main = table.columns_for(results)
     other = [name for name in METRICS.names() if name not in main]
     drawn = [(figure, figure.render(entries)) for figure in figures.FIGURES]

@@ -17,7 +17,9 @@ import numpy as np
 from dynahoi_lerobot.core.agent import Agent, Observation
 from dynahoi_lerobot.core.conventions import frames_until
 
-SYNC, ASYNC, RTC = "sync", "async", "rtc"
+SYNC = "sync"
+ASYNC = "async"
+RTC = "rtc"
 INFERENCE_MODES = {
     SYNC: "the simulation waits for the policy",
     ASYNC: "one inference at a time, while the old chunk continues; past actions of the new "
@@ -116,9 +118,11 @@ class RealTimeAgent(Agent):
         ):
             setattr(self, name, getattr(agent, name))
         declared_ms = inference.latency_ms
-        self._agent, self._continues = agent, inference.mode == RTC
+        self._agent = agent
+        self._continues = inference.mode == RTC
         self._delay = None if declared_ms is None else frames_until(declared_ms / 1000)
-        self._inferences, self._waited_frames = 0, 0
+        self._inferences = 0
+        self._waited_frames = 0
         self.reset(0)
 
     def reset(self, count: int) -> None:
@@ -153,7 +157,8 @@ class RealTimeAgent(Agent):
         """Go on with the chunks that are ready at this frame."""
         for i, chunk in enumerate(self._coming):
             if chunk is not None and chunk.ready <= self._frame:
-                self._running[i], self._coming[i] = chunk, None
+                self._running[i] = chunk
+                self._coming[i] = None
 
     def _infer(self, observation: Observation, worlds: np.ndarray) -> None:
         """Begin an inference in each of the sorted ``worlds`` (n,)."""
@@ -172,7 +177,8 @@ class RealTimeAgent(Agent):
                 )
             took = frames_until(seconds) if self._delay is None else self._delay
             self._coming[i] = Chunk(actions, self._frame, self._frame + took)
-            self._inferences, self._waited_frames = self._inferences + 1, self._waited_frames + took
+            self._inferences = self._inferences + 1
+            self._waited_frames = self._waited_frames + took
 
     def _executed(self, worlds: np.ndarray) -> np.ndarray | None:
         """The actions that are past of the chunks that continue in ``worlds`` (n,); None at the
@@ -236,15 +242,18 @@ class StepwiseInference:
                 f"asked for one action a "
                 f"call; use async, or dynahoi evaluate --inference {inference.mode}"
             )
-        if (latency_ms := inference.latency_ms) is None:
+        latency_ms = inference.latency_ms
+        if latency_ms is None:
             raise ValueError(
                 "a measured latency would count what happens between two calls, such as writing "
                 "videos; "
                 "declare it in ms, or use dynahoi evaluate --inference-ms measured"
             )
-        self.policy, self._delay = policy, frames_until(latency_ms / 1000)
+        self.policy = policy
+        self._delay = frames_until(latency_ms / 1000)
         self._period = max(1, self._delay)
-        if (least := self._delay + 1) > policy.n_action_steps:
+        least = self._delay + 1
+        if least > policy.n_action_steps:
             raise ValueError(
                 f"{policy.name!r} executes {policy.n_action_steps} actions of a chunk, all of "
                 f"them past when it is "
@@ -293,4 +302,5 @@ class StepwiseInference:
     def _finish(self) -> None:
         """Go on with the chunk that has been read; its successor is inferred next."""
         self._running = Chunk(np.stack(self._read), self._begun, self._begun + self._delay)
-        self._read, self._begun = [], self._begun + self._period
+        self._read = []
+        self._begun = self._begun + self._period

@@ -41,7 +41,9 @@ class Session:
         """Play in ``batch``; episodes keep what was rendered, or are rendered at their end if it
         ``render_later``.
         """
-        self.batch, self.record_images, self._render_later = batch, record_images, render_later
+        self.batch = batch
+        self.record_images = record_images
+        self._render_later = render_later
         self.observation: Observation | None = None
         self._recorders: dict[int, WorldRecorder] = {}
 
@@ -111,7 +113,8 @@ class Session:
             recorder = self._recorders[i]
             frame = {name: values[row] for name, values in columns.items()}
             recorder.add(frame, {view: pixels[i] for view, pixels in images.items()})
-            terminated[i], full[i] = recorder.settled(self.batch.rule), recorder.full
+            terminated[i] = recorder.settled(self.batch.rule)
+            full[i] = recorder.full
         return terminated, full & ~terminated
 
     def world_state(self, observation: Observation) -> WorldState:
@@ -167,7 +170,9 @@ def play(
     if actor.sees_images and not batch.rules.image_size:
         raise ValueError(f"{actor.name!r} needs images, and image_size is 0, no camera")
     later = images and not actor.sees_images and batch.renders_later
-    session, fresh, again = Session(batch, render_later=later), iter(jobs), deque[Job]()
+    session = Session(batch, render_later=later)
+    fresh = iter(jobs)
+    again = deque[Job]()
     while True:
         if not (actor.has_memory and session.playing.size):
             _begin(session, actor, again, fresh)
@@ -313,7 +318,8 @@ class Replayer(Agent):
         """Repeat ``logs``; with ``sees_images`` every frame is drawn when it is played, as in the
         environment.
         """
-        self._logs, self.sees_images = logs, sees_images
+        self._logs = logs
+        self.sees_images = sees_images
         self._frame = 0
 
     def reset(self, count: int) -> None:

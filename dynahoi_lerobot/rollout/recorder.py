@@ -146,7 +146,9 @@ class WorldRecorder:
         """Return the recording of world ``i`` as an Episode of ``actor``, which planned ``meeting``
         at control start.
         """
-        spec, rule, columns = self.job.spec, batch.rule, self._columns()
+        spec = self.job.spec
+        rule = batch.rule
+        columns = self._columns()
         columns |= _tip_columns(batch, i, columns)
         track = self._track(columns)
         columns |= episode_constants(batch, spec, meeting)

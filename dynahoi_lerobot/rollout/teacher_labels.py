@@ -61,10 +61,8 @@ class Perturbation:
         """Draw it; only a ``share`` (0 to 1) of the episodes is perturbed, and those in
         ``PERTURBED_ATTEMPTS`` only.
         """
-        rng, frames = (
-            np.random.default_rng([DISTURBANCE_STREAM, spec.seed, attempt]),
-            spec.horizon_frames,
-        )
+        rng = np.random.default_rng([DISTURBANCE_STREAM, spec.seed, attempt])
+        frames = spec.horizon_frames
         perturbed = (
             np.random.default_rng([DISTURBANCE_STREAM, spec.seed]).random() < share
             and attempt <= PERTURBED_ATTEMPTS

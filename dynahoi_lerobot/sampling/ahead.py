@@ -27,7 +27,9 @@ class SpecsAhead:
             threads: for rolling targets ahead, of episodes that are wanted at once.
             keep: whether to keep the episodes, to draw each once.
         """
-        self._recipe, self._threads, self._keep = recipe, max(1, threads), keep
+        self._recipe = recipe
+        self._threads = max(1, threads)
+        self._keep = keep
         self._pool = ThreadPoolExecutor(1, "episodes")  # starts no thread before it has work
         self._coming: dict[int, Future[list[EpisodeSpec]]] = {}
         self._kept: dict[int, EpisodeSpec] = {}

@@ -69,7 +69,8 @@ def find_homes(
     Returns:
         (K, 3) positions [m], world, best first; none if none of those tried will do.
     """
-    start, intercept = timing.window_frames, timing.intercept_frame
+    start = timing.window_frames
+    intercept = timing.intercept_frame
     meeting = paths_w[0][intercept]
     homes = tried_homes(meeting, timing.travel_m, rng)
     homes = homes[_in_workspace(homes)]
@@ -174,7 +175,8 @@ def _camera() -> tuple[np.ndarray, np.ndarray, float]:
     its view.
     """
     scene = compile_scene(REFERENCE_HAND)
-    model, camera = scene.model, scene.camera
+    model = scene.model
+    camera = scene.camera
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, model.cam_quat[camera])
     return (
@@ -197,7 +199,8 @@ def _hand_distance() -> np.ndarray:
         np.stack([x, y, -np.ones_like(x)], axis=-1).reshape(-1, 3), rotation.T
     )  # (K * K, 3)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    geom, distance = np.zeros(len(rays), np.int32), np.zeros(len(rays))
+    geom = np.zeros(len(rays), np.int32)
+    distance = np.zeros(len(rays))
     mujoco.mj_multiRay(
         scene.model,
         data,

@@ -47,7 +47,8 @@ def _materials(spec: EpisodeSpec, rng: np.random.Generator) -> Appearance:
 
 def _lights(spec: EpisodeSpec, rng: np.random.Generator) -> Appearance:
     """Light from dim to glaring, slightly colored, from any direction above."""
-    angle, slant = rng.uniform(0, 2 * np.pi), rng.uniform(0.0, 1.5)
+    angle = rng.uniform(0, 2 * np.pi)
+    slant = rng.uniform(0.0, 1.5)
     return replace(
         spec.appearance,
         light_level=rng.uniform(0.15, 1.1),

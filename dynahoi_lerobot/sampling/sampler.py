@@ -127,7 +127,9 @@ class Candidate:
         if not 0 <= seed <= MAX_SEED:
             raise ValueError(f"a seed must be 0 to {MAX_SEED}, got {seed}")
         names = recipe.motion_names
-        self.recipe, self.seed, self.kind = recipe, seed, MOTIONS[names[seed % len(names)]]
+        self.recipe = recipe
+        self.seed = seed
+        self.kind = MOTIONS[names[seed % len(names)]]
         stream = zlib.crc32(recipe.split_definition.stream.encode())
         self.rng = np.random.default_rng([stream, seed, *salt_words(recipe.salt)])
 
@@ -147,7 +149,8 @@ class Candidate:
         """
         self.start = self.rng.bit_generator.state
         self.target = self._draw_target()
-        split, window_s = self.recipe.split_definition, self.timing.window_frames * CONTROL_DT
+        split = self.recipe.split_definition
+        window_s = self.timing.window_frames * CONTROL_DT
         fastest = split.path_speeds[-1]
         intercept_s = window_s + self.timing.approach_frames * CONTROL_DT
         draw = Draw(

@@ -34,7 +34,8 @@ class RollAhead:
             hand: the embodiment of the scene.
             threads: for the simulation; the result does not depend on it.
         """
-        self._scene, self._threads = compile_scene(hand), threads
+        self._scene = compile_scene(hand)
+        self._threads = threads
         self._motions: Sequence[Motion] = ()
         self._rows: dict[int, int] = {}
         self._batch: Batch | None = None
@@ -54,7 +55,8 @@ class RollAhead:
         if not physical:
             return
         batch, fields = self._room(len(physical))
-        scene, rows = self._scene, np.arange(len(physical))
+        scene = self._scene
+        rows = np.arange(len(physical))
         fields.reset(rows)
         self._force_w = [
             fields.write_world(row, motions[i], targets[i], frames[i] - 1, ENVIRONMENT)
@@ -88,7 +90,8 @@ class RollAhead:
         while missing := {
             row: more for row, n in wanted.items() if (more := n - len(self._paths_w[row])) > 0
         }:
-            rows, frames = np.array(sorted(missing)), min(missing.values())
+            rows = np.array(sorted(missing))
+            frames = min(missing.values())
             control = np.zeros((len(rows), frames * SUBSTEPS, self._scene.model.nv))
             dof = self._scene.target_dof
             for k, row in enumerate(rows):

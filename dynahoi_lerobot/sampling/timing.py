@@ -135,11 +135,14 @@ def _fitted_table() -> np.ndarray:
 
 def _feasible(kind: str) -> np.ndarray:
     """(D, T) bool: which bins the kind can fill."""
-    motion, durations, travels = MOTIONS[kind], BENCHMARK.durations.edges, BENCHMARK.travels.edges
+    motion = MOTIONS[kind]
+    durations = BENCHMARK.durations.edges
+    travels = BENCHMARK.travels.edges
     possible = np.zeros((len(durations) - 1, len(travels) - 1), bool)
     for d, t in np.ndindex(possible.shape):
         longest = min(int(durations[d + 1]) - 1, motion.max_frames)
-        nearest, farthest = approach_frames(travels[t]), approach_frames(travels[t + 1])
+        nearest = approach_frames(travels[t])
+        farthest = approach_frames(travels[t + 1])
         approach = min(farthest, motion.max_approach_frames)
         in_time = nearest < motion.max_approach_frames
         possible[d, t] = longest >= durations[d] and in_time and _fits(longest, approach)

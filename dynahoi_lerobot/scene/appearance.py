@@ -11,7 +11,9 @@ from dynahoi_lerobot.core.numerics import norm, sin
 TEXTURE_SIZE = 128
 
 _random = np.random.default_rng(20260)
-_GRAIN, _CLOUD, _TONES = _random.random((64, 64)), _random.random((6, 6)), _random.random(64)
+_GRAIN = _random.random((64, 64))
+_CLOUD = _random.random((6, 6))
+_TONES = _random.random(64)
 
 
 def _wave(phase: np.ndarray) -> np.ndarray:
@@ -21,10 +23,14 @@ def _wave(phase: np.ndarray) -> np.ndarray:
 def _noise(values: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Smooth noise: a periodic grid of values (K, K), interpolated at (u, v)."""
     n = len(values)
-    x, y = u * n, v * n
-    i, j = np.floor(x).astype(int), np.floor(y).astype(int)
-    a, b = x - i, y - j
-    a, b = a * a * (3 - 2 * a), b * b * (3 - 2 * b)
+    x = u * n
+    y = v * n
+    i = np.floor(x).astype(int)
+    j = np.floor(y).astype(int)
+    a = x - i
+    b = y - j
+    a = a * a * (3 - 2 * a)
+    b = b * b * (3 - 2 * b)
     upper = (1 - a) * values[j % n, i % n] + a * values[j % n, (i + 1) % n]
     lower = (1 - a) * values[(j + 1) % n, i % n] + a * values[(j + 1) % n, (i + 1) % n]
     return (1 - b) * upper + b * lower
@@ -89,7 +95,8 @@ SKIN_TONES = np.array(
         [0.36, 0.25, 0.2],
     ]
 )
-MOST_SATURATED_FLOOR, MOST_SATURATED_WALL = 0.5, 0.4
+MOST_SATURATED_FLOOR = 0.5
+MOST_SATURATED_WALL = 0.4
 LEAST_CONTRAST = 0.25
 """Least distance in RGB, 0 to 1 each, between a target and the surfaces behind it."""
 

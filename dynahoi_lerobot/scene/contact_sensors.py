@@ -11,8 +11,10 @@ from dynahoi_lerobot.hands.base import PALM_BODY
 
 N_SENSORS = len(FINGERS) + 2
 """One per finger, one for the palm, one for all contacts of the target."""
-PALM, ANY = len(FINGERS), len(FINGERS) + 1
-FOUND, FORCE = 0, slice(1, 4)
+PALM = len(FINGERS)
+ANY = len(FINGERS) + 1
+FOUND = 0
+FORCE = slice(1, 4)
 SENSOR_SIZE = 4
 NET_FORCE = 3
 """The reduction of a MuJoCo contact sensor that adds up all contacts it matches."""
@@ -63,7 +65,8 @@ def read_contacts(sensordata: np.ndarray) -> TargetContacts:
 
 def add_contact_sensors(spec: mujoco.MjSpec) -> None:
     """Add the sensors that ``read_contacts`` reads, in its order."""
-    body, subtree = mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_XBODY
+    body = mujoco.mjtObj.mjOBJ_BODY
+    subtree = mujoco.mjtObj.mjOBJ_XBODY
     for finger in FINGERS:
         _add_sensor(spec, f"touch_{finger}", f"{finger}_base", subtree)
     _add_sensor(spec, "touch_palm", PALM_BODY, body)
@@ -78,6 +81,7 @@ def _add_sensor(spec: mujoco.MjSpec, name: str, other: str, kind: mujoco.mjtObj)
         objname="target",
     )
     if other:
-        sensor.reftype, sensor.refname = kind, other
+        sensor.reftype = kind
+        sensor.refname = other
     fields = mujoco.mjtConDataField.mjCONDATA_FOUND, mujoco.mjtConDataField.mjCONDATA_FORCE
     sensor.intprm[:3] = (sum(1 << field.value for field in fields), NET_FORCE, 1)

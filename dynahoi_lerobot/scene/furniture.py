@@ -27,7 +27,9 @@ color."""
 
 
 def _cabinet(rng: np.random.Generator, wood: Color, pale: Color, accent: Color) -> list[Part]:
-    width, depth, height = rng.uniform(0.5, 1.6), rng.uniform(0.35, 0.6), rng.uniform(0.4, 1.5)
+    width = rng.uniform(0.5, 1.6)
+    depth = rng.uniform(0.35, 0.6)
+    height = rng.uniform(0.4, 1.5)
     body, front = (wood, pale) if rng.random() < 0.5 else (accent, wood)
     door = (0.02, 0.46 * width, height - 0.14)
     return [
@@ -38,7 +40,9 @@ def _cabinet(rng: np.random.Generator, wood: Color, pale: Color, accent: Color) 
 
 
 def _shelf(rng: np.random.Generator, wood: Color, pale: Color, accent: Color) -> list[Part]:
-    width, depth, height = rng.uniform(0.6, 1.3), rng.uniform(0.25, 0.4), rng.uniform(1.0, 1.9)
+    width = rng.uniform(0.6, 1.3)
+    depth = rng.uniform(0.25, 0.4)
+    height = rng.uniform(1.0, 1.9)
     boards = [
         ((0.0, -width / 2, z), (depth, width, 0.04), wood)
         for z in np.linspace(0.05, height - 0.04, 3).tolist()
@@ -49,7 +53,9 @@ def _shelf(rng: np.random.Generator, wood: Color, pale: Color, accent: Color) ->
 
 
 def _table(rng: np.random.Generator, wood: Color, pale: Color, accent: Color) -> list[Part]:
-    width, depth, height = rng.uniform(0.8, 1.6), rng.uniform(0.5, 0.9), rng.uniform(0.45, 0.8)
+    width = rng.uniform(0.8, 1.6)
+    depth = rng.uniform(0.5, 0.9)
+    height = rng.uniform(0.45, 0.8)
     legs = [
         ((x, y, 0.0), (0.06, 0.06, height), pale)
         for x in (0.03, depth - 0.09)
@@ -65,7 +71,9 @@ def _crate(rng: np.random.Generator, wood: Color, pale: Color, accent: Color) ->
 
 
 def _picture(rng: np.random.Generator, wood: Color, pale: Color, accent: Color) -> list[Part]:
-    width, height, low = rng.uniform(0.5, 1.5), rng.uniform(0.4, 1.0), rng.uniform(0.9, 1.5)
+    width = rng.uniform(0.5, 1.5)
+    height = rng.uniform(0.4, 1.0)
+    low = rng.uniform(0.9, 1.5)
     frame = ((0.0, -width / 2, low), (0.04, width, height), wood)
     return [
         frame,
@@ -74,7 +82,8 @@ def _picture(rng: np.random.Generator, wood: Color, pale: Color, accent: Color) 
 
 
 def _rug(rng: np.random.Generator, wood: Color, pale: Color, accent: Color) -> list[Part]:
-    width, depth = rng.uniform(1.2, 2.6), rng.uniform(1.0, 2.0)
+    width = rng.uniform(1.2, 2.6)
+    depth = rng.uniform(1.0, 2.0)
     color = accent if rng.random() < 0.5 else pale
     return [((0.0, -width / 2, 0.0), (depth, width, 0.012), color)]
 
@@ -148,12 +157,16 @@ def _place(
     solids = []
     for corner, extent, rgb in parts:
         deep, wide, tall = (length / 2 for length in extent)
-        x, y, z = corner[0] + deep, corner[1] + wide, corner[2] + tall
+        x = corner[0] + deep
+        y = corner[1] + wide
+        z = corner[2] + tall
         if wall == 0:
-            pos, size = (ARENA_HALF_M - away - x, along + y, z), (deep, wide, tall)
+            pos = (ARENA_HALF_M - away - x, along + y, z)
+            size = (deep, wide, tall)
         else:
             side = 1.0 if wall == 1 else -1.0
-            pos, size = (along + y, side * (ARENA_HALF_M - away - x), z), (wide, deep, tall)
+            pos = (along + y, side * (ARENA_HALF_M - away - x), z)
+            size = (wide, deep, tall)
         solids.append(Solid("box", size, (ahead * pos[0], pos[1], pos[2]), rgb))
     return solids
 

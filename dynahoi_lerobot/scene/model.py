@@ -87,7 +87,8 @@ SHININESS = 0.5
 """Of every material; MuJoCo's own for geoms without one, which shine half as much."""
 
 SIDE_CAMERA = "side"
-SIDE_CAMERA_POS_M, SIDE_CAMERA_TARGET_M = np.array([1.0, 0.6, 0.5]), np.array([0.35, 0.05, 0.0])
+SIDE_CAMERA_POS_M = np.array([1.0, 0.6, 0.5])
+SIDE_CAMERA_TARGET_M = np.array([0.35, 0.05, 0.0])
 SIDE_CAMERA_FOVY_DEG = 54.0
 """Pose of the static side camera, relative to the palm's center at home: in front of the hand and
 to its left, from where the hand seldom hides the target."""
@@ -194,23 +195,21 @@ def _set_hand_collisions(spec: mujoco.MjSpec) -> None:
     """Let the hand collide with targets that ask for it, and with nothing else."""
     for geom in spec.geoms:
         if geom.name.startswith(HAND_GEOM_PREFIX):
-            geom.contype, geom.conaffinity, geom.condim = 0, HAND_BIT, 6
-            geom.priority, geom.friction, geom.solref = (
-                2,
-                SURFACE_FRICTION,
-                (1 / PAD_RATE_RAD_S, 1.0),
-            )
+            geom.contype = 0
+            geom.conaffinity = HAND_BIT
+            geom.condim = 6
+            geom.priority = 2
+            geom.friction = SURFACE_FRICTION
+            geom.solref = (1 / PAD_RATE_RAD_S, 1.0)
             geom.solimp = PAD_IMPEDANCE
 
 
 def _add_target(spec: mujoco.MjSpec, extra: Mapping[str, int]) -> None:
     body = spec.worldbody.add_body(name="target", pos=(0, 0, 1.5))
-    body.explicitinertial, body.mass, body.inertia, body.ipos = (
-        True,
-        0.1,
-        (4e-5, 5e-5, 6e-5),
-        (0.0, 0.0, 0.0),
-    )
+    body.explicitinertial = True
+    body.mass = 0.1
+    body.inertia = (4e-5, 5e-5, 6e-5)
+    body.ipos = (0.0, 0.0, 0.0)
     body.add_freejoint(name="target")
     for shape, count in TARGET_SLOTS.items():
         _add_slots(body, shape, range(count))
@@ -278,12 +277,10 @@ def _add_fixtures(spec: mujoco.MjSpec) -> None:
     quat = camera_quat(SIDE_CAMERA_TARGET_M - SIDE_CAMERA_POS_M)
     home.add_camera(name=SIDE_CAMERA, pos=SIDE_CAMERA_POS_M, quat=quat, fovy=SIDE_CAMERA_FOVY_DEG)
     striker = spec.worldbody.add_body(name="striker", pos=HIDDEN_POS, gravcomp=1.0)
-    striker.explicitinertial, striker.mass, striker.inertia, striker.ipos = (
-        True,
-        0.3,
-        (2e-4,) * 3,
-        (0.0, 0.0, 0.0),
-    )
+    striker.explicitinertial = True
+    striker.mass = 0.3
+    striker.inertia = (2e-4,) * 3
+    striker.ipos = (0.0, 0.0, 0.0)
     striker.add_joint(name="striker", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(1, 0, 0))
     striker.add_geom(
         name="striker",

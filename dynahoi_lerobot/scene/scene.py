@@ -56,21 +56,23 @@ class Scene:
     def __init__(self, model: mujoco.MjModel, hand: Hand) -> None:
         geoms = {model.geom(i).name: i for i in range(model.ngeom)}
         joints = np.array([model.joint(name).id for name in HAND_NAMES])
-        target, striker = model.joint("target"), model.joint("striker")
+        target = model.joint("target")
+        striker = model.joint("striker")
 
         def starting(prefix: str) -> np.ndarray:
             return np.array([i for name, i in geoms.items() if name.startswith(prefix)], dtype=int)
 
-        self.model, self.hand = model, hand
+        self.model = model
+        self.hand = hand
         self.slots = {shape: tuple(starting(f"target_{shape}_").tolist()) for shape in TARGET_SLOTS}
         self.target_geoms = np.sort([geom for ids in self.slots.values() for geom in ids])
         self.target_body = model.body("target").id
-        self.target_qpos, self.target_dof = int(target.qposadr[0]), int(target.dofadr[0])
-        self.hand_qpos, self.hand_dof = (
-            model.jnt_qposadr[joints].copy(),
-            model.jnt_dofadr[joints].copy(),
-        )
-        self.striker_body, self.striker_geom = model.body("striker").id, geoms["striker"]
+        self.target_qpos = int(target.qposadr[0])
+        self.target_dof = int(target.dofadr[0])
+        self.hand_qpos = model.jnt_qposadr[joints].copy()
+        self.hand_dof = model.jnt_dofadr[joints].copy()
+        self.striker_body = model.body("striker").id
+        self.striker_geom = geoms["striker"]
         self.striker_dof = int(striker.dofadr[0])
         self.floor_geom = geoms["floor"]
         self.wall_geoms = tuple(geoms[name] for name in WALLS)
@@ -82,13 +84,15 @@ class Scene:
         self.box_geoms = tuple(geoms[name] for name in FIXTURE_BOXES)
         self.box_mocap = tuple(int(model.body(name).mocapid[0]) for name in FIXTURE_BOXES)
         self.side_mocap = int(model.body(SIDE_CAMERA).mocapid[0])
-        self.tether_eq, self.weld_eq = model.equality("tether").id, model.equality("weld").id
+        self.tether_eq = model.equality("tether").id
+        self.weld_eq = model.equality("weld").id
         self.tether_geom = geoms["tether"]
         self.palm_site = model.site(PALM_SITE).id
         self.tip_sites = np.array([model.site(f"{finger}_tip").id for finger in FINGERS])
         self.camera = model.camera(EGO_VIEW).id
         self.materials = {model.mat(i).name: i for i in range(model.nmat)}
-        self.skin_geoms, self.sleeve_geoms = starting(SKIN_GEOM_PREFIX), starting(SLEEVE_GEOM)
+        self.skin_geoms = starting(SKIN_GEOM_PREFIX)
+        self.sleeve_geoms = starting(SLEEVE_GEOM)
         self.hand_geoms = starting(HAND_GEOM_PREFIX)
 
     def slots_of(self, target: TargetObject) -> list[int]:

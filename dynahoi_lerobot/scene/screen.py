@@ -56,7 +56,8 @@ STEEPEST_RAD = 1.5
 CAMERA_CLEARANCE_M, TARGET_CLEARANCE_M, FIXTURE_CLEARANCE_M = 0.02, 0.01, 0.01
 """Least distances of a screen from the camera, and from the surfaces of target, fixtures, string
 and striker."""
-HAND_POSES, STRING_POINTS = 8, 24
+HAND_POSES = 8
+STRING_POINTS = 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +113,8 @@ class Sight:
 
     def _covered(self, panel: Box, radius_m: float, sliver_m: float) -> np.ndarray:
         low, high = silhouette(self.eyes_w, self.target_w, panel.pos[0], radius_m)
-        middle, half = np.asarray(panel.pos[1:]), np.asarray(panel.half_size[1:]) + sliver_m
+        middle = np.asarray(panel.pos[1:])
+        half = np.asarray(panel.half_size[1:]) + sliver_m
         return np.all((low >= middle - half) & (high <= middle + half), axis=-1)
 
 
@@ -163,7 +165,8 @@ def _panels(sight: Sight, behind: np.ndarray) -> Iterator[Box]:
     """Yield panels behind which the target is at the frames ``behind`` (n,), as small as each depth
     allows.
     """
-    eyes, target = sight.eyes_w[:, behind], sight.target_w[behind]
+    eyes = sight.eyes_w[:, behind]
+    target = sight.target_w[behind]
     nearest = eyes[..., 0].max() + CAMERA_ROOM_M
     farthest = target[:, 0].min() - sight.radius_m - TARGET_CLEARANCE_M
     if nearest > farthest:
@@ -171,7 +174,8 @@ def _panels(sight: Sight, behind: np.ndarray) -> Iterator[Box]:
     for share in DEPTHS:
         x = nearest + share * (farthest - nearest)
         low, high = silhouette(eyes, target, x, sight.radius_m + SPARE_M)
-        low, high = low.min(axis=(0, 1)), high.max(axis=(0, 1))
+        low = low.min(axis=(0, 1))
+        high = high.max(axis=(0, 1))
         if (high - low).max() <= LARGEST_M and low[1] > FIXTURE_CLEARANCE_M:
             (y, z), (half_y, half_z) = (low + high) / 2, (high - low) / 2
             yield Box(
@@ -208,7 +212,8 @@ def silhouette(
         two.
     """
     offset = centers_w - eyes_w
-    ahead, aside = offset[..., :1], offset[..., 1:]
+    ahead = offset[..., :1]
+    aside = offset[..., 1:]
     middle = arctan2(aside, ahead)
     half = arcsin(np.clip(radius_m / np.maximum(np.sqrt(ahead**2 + aside**2), radius_m), 0.0, 1.0))
     gap = x - eyes_w[..., :1]
@@ -242,7 +247,8 @@ def stands_clear(panel: Box, spec: EpisodeSpec, meeting: int, radius_m: float) -
     All of the open hand keeps clear on its way to where a fast hand meets the target, at frame
     ``meeting``, and the palm center also on the way to the episode's intercept.
     """
-    home, launch = spec.home_pos_w, spec.motion.launch(spec.target)
+    home = spec.home_pos_w
+    launch = spec.motion.launch(spec.target)
     return (
         bool(box_distance(spec.target_path_w, panel).min() > radius_m + TARGET_CLEARANCE_M)
         and all(apart(panel, box, FIXTURE_CLEARANCE_M) for box in launch.boxes)
@@ -277,7 +283,8 @@ def _clear_of_string(panel: Box, launch: Launch, path_w: np.ndarray) -> bool:
 
 
 def _clear_of_striker(panel: Box, launch: Launch, frames: int) -> bool:
-    if (striker := launch.striker) is None:
+    striker = launch.striker
+    if striker is None:
         return True
     times = np.arange(frames + 1)[:, None] * CONTROL_DT
     balls = np.asarray(striker.pos) + times * np.asarray(striker.velocity)

@@ -46,10 +46,13 @@ class WorldFields:
 
     def __init__(self, batch: Batch, scene: Scene) -> None:
         """Expand the fields of ``batch``, which runs ``scene.model``."""
-        self._batch, self._scene = batch, scene
+        self._batch = batch
+        self._scene = scene
         self.fields = {name: batch.expand(name) for name in FIELDS}
-        self.qpos, self.qvel = batch.bind("qpos"), batch.bind("qvel")
-        self._mocap_pos, self._mocap_quat = batch.bind("mocap_pos"), batch.bind("mocap_quat")
+        self.qpos = batch.bind("qpos")
+        self.qvel = batch.bind("qvel")
+        self._mocap_pos = batch.bind("mocap_pos")
+        self._mocap_quat = batch.bind("mocap_quat")
         self.eq_active = batch.bind("eq_active")
         self._anchors = np.zeros((batch.nsim, 6))
 
@@ -73,7 +76,8 @@ class WorldFields:
         rows = slice(len(visual_state))
         for name, values in self.fields.items():
             values[rows] = other.fields[name][i]
-        self._mocap_pos[rows], self._mocap_quat[rows] = other._mocap_pos[i], other._mocap_quat[i]
+        self._mocap_pos[rows] = other._mocap_pos[i]
+        self._mocap_quat[rows] = other._mocap_quat[i]
         self.qpos[rows], self.fields["geom_rgba"][rows, :, 3] = np.split(
             visual_state, [self.qpos.shape[1]], axis=1
         )
@@ -111,8 +115,10 @@ class WorldFields:
             self._write_box(i, slot, launch.boxes[slot] if slot < len(launch.boxes) else None)
         self._write_tether(i, launch.tether, np.asarray(launch.pos))
         self._write_striker(i, launch.striker)
-        qpos, dof = self._scene.target_qpos, self._scene.target_dof
-        self.qpos[i, qpos : qpos + 3], self.qpos[i, qpos + 3 : qpos + 7] = start_pos_w, launch.quat
+        qpos = self._scene.target_qpos
+        dof = self._scene.target_dof
+        self.qpos[i, qpos : qpos + 3] = start_pos_w
+        self.qpos[i, qpos + 3 : qpos + 7] = launch.quat
         self.qvel[i, dof : dof + 3] = start_velocity_w
         self.qvel[i, dof + 3 : dof + 6] = launch.spin
         self.fields["dof_damping"][i, dof : dof + 3] = launch.drag_kg_s
@@ -124,17 +130,18 @@ class WorldFields:
         """
         force_w = self.write_world(i, spec.motion, spec.target, spec.horizon_frames, collides_with)
         if isinstance(spec.motion, PrescribedMotion):
-            qpos, dof = self._scene.target_qpos, self._scene.target_dof
-            self.qpos[i, qpos + 3 : qpos + 7], self.qvel[i, dof + 5] = (
-                yaw_quat(spec.yaw_rad),
-                spec.spin_rad_s,
-            )
+            qpos = self._scene.target_qpos
+            dof = self._scene.target_dof
+            self.qpos[i, qpos + 3 : qpos + 7] = yaw_quat(spec.yaw_rad)
+            self.qvel[i, dof + 5] = spec.spin_rad_s
         self._write_appearance(i, spec.appearance)
         self._mocap_pos[i, self._scene.side_mocap] = spec.home_pos_w
         return force_w
 
     def _write_appearance(self, i: int, appearance: Appearance) -> None:
-        scene, rgba, matid = self._scene, self.fields["geom_rgba"], self.fields["geom_matid"]
+        scene = self._scene
+        rgba = self.fields["geom_rgba"]
+        matid = self.fields["geom_matid"]
         painted = (
             (scene.target_geoms, appearance.target_pattern + "_thing", appearance.target_rgb),
             ([scene.floor_geom], appearance.floor_pattern + "_floor", appearance.floor_rgb),
@@ -183,16 +190,15 @@ class WorldFields:
     def _write_target(
         self, i: int, target: TargetObject, launch: Launch, collides_with: int
     ) -> None:
-        fields, geoms = self.fields, self._scene.target_geoms
+        fields = self.fields
+        geoms = self._scene.target_geoms
         fields["geom_size"][i, geoms] = HIDDEN_SIZE
         fields["geom_pos"][i, geoms] = 0.0
         fields["geom_rgba"][i, geoms, 3] = 0.0
         for geom, primitive in zip(self._scene.slots_of(target), target.primitives, strict=True):
             fields["geom_size"][i, geom] = primitive.half_size
-            fields["geom_pos"][i, geom], fields["geom_quat"][i, geom] = (
-                primitive.pos,
-                primitive.quat,
-            )
+            fields["geom_pos"][i, geom] = primitive.pos
+            fields["geom_quat"][i, geom] = primitive.quat
             fields["geom_rgba"][i, geom, 3] = 1.0
         fields["geom_friction"][i, geoms, 0] = (
             target.friction if launch.friction is None else launch.friction
@@ -206,7 +212,8 @@ class WorldFields:
         self.set_collisions(i, collides_with)
 
     def _write_box(self, i: int, slot: int, box: Box | None) -> None:
-        geom, mocap = self._scene.box_geoms[slot], self._scene.box_mocap[slot]
+        geom = self._scene.box_geoms[slot]
+        mocap = self._scene.box_mocap[slot]
         self._mocap_pos[i, mocap] = HIDDEN_POS if box is None else box.pos
         self._mocap_quat[i, mocap] = (1.0, 0.0, 0.0, 0.0) if box is None else box.quat
         self.fields["geom_size"][i, geom] = HIDDEN_SIZE if box is None else box.half_size
@@ -216,19 +223,19 @@ class WorldFields:
         self.fields["geom_rgba"][i, geom, 3] = float(box is not None)
 
     def _write_tether(self, i: int, anchor: Vector | None, start: np.ndarray) -> None:
-        geom, eq = self._scene.tether_geom, self._scene.tether_eq
+        geom = self._scene.tether_geom
+        eq = self._scene.tether_eq
         self.eq_active[i, eq] = anchor is not None
         self.fields["geom_rgba"][i, geom, 3] = float(anchor is not None)
         length = 0.0 if anchor is None else norm(np.asarray(anchor) - start)
-        self.fields["geom_pos"][i, geom], self.fields["geom_quat"][i, geom] = (
-            (0, 0, length / 2),
-            (1, 0, 0, 0),
-        )
+        self.fields["geom_pos"][i, geom] = (0, 0, length / 2)
+        self.fields["geom_quat"][i, geom] = (1, 0, 0, 0)
         self.fields["geom_size"][i, geom, 1] = max(length / 2, 1e-4)
         self._anchors[i] = np.zeros(6) if anchor is None else (0.0, 0.0, length, *anchor)
 
     def _write_striker(self, i: int, striker: Striker | None) -> None:
-        body, geom = self._scene.striker_body, self._scene.striker_geom
+        body = self._scene.striker_body
+        geom = self._scene.striker_geom
         self.fields["geom_rgba"][i, geom, 3] = float(striker is not None)
         if striker is None:
             self.fields["body_pos"][i, body] = HIDDEN_POS
@@ -270,7 +277,8 @@ def drive_for(
         force = target.mass_kg * (np.diff(velocities, axis=0) / PHYSICS_DT - GRAVITY_W)
         return path[1], velocities[0], force.reshape(frames, SUBSTEPS, 3)
     launch = motion.launch(target)
-    start, velocity = np.asarray(launch.pos), np.asarray(launch.velocity)
+    start = np.asarray(launch.pos)
+    velocity = np.asarray(launch.velocity)
     held = min(round(launch.release_s / PHYSICS_DT), frames * SUBSTEPS)
     if held == 0:
         return start, velocity, np.zeros((frames, SUBSTEPS, 3))

@@ -47,7 +47,8 @@ class VlmAgent(Agent):
 
     def __init__(self, client: "VlmClient", *, name: str = "vlm") -> None:
         """Ask ``client`` about all worlds that need a chunk at the same time."""
-        self.name, self._client = name, client
+        self.name = name
+        self._client = client
         self._planned: list[deque[np.ndarray]] = []
 
     def reset(self, count: int) -> None:
@@ -131,8 +132,11 @@ class VlmClient:
                 there is no key.
         """
         known("prompt", prompt, PROMPTS)
-        self._model, self._timeout_s, self._log = model, timeout_s, log
-        self._prompt, self._palm_speed_m_s = prompt, palm_speed_m_s
+        self._model = model
+        self._timeout_s = timeout_s
+        self._log = log
+        self._prompt = prompt
+        self._palm_speed_m_s = palm_speed_m_s
         self._structured = True
         self._totals = dict.fromkeys(
             ("decisions", "failed", "answers", "prompt_tokens", "completion_tokens"), 0
@@ -182,7 +186,8 @@ class VlmClient:
         self, task: str, state: np.ndarray, image: np.ndarray
     ) -> tuple[np.ndarray | None, float]:
         """Ask until an answer is valid, ``MOST_ANSWERS`` are not or the deadline has passed."""
-        start, commands = time.monotonic(), None
+        start = time.monotonic()
+        commands = None
         asked = messages(self._prompt, self._palm_speed_m_s, task, state, image)
         try:
             async with asyncio.timeout(self._timeout_s):
@@ -295,7 +300,8 @@ class Answer(BaseModel):
 
     @model_validator(mode="after")
     def _durations_fill_the_horizon(self) -> Self:
-        if (total := sum(step.duration for step in self.action_sequence)) != HORIZON:
+        total = sum(step.duration for step in self.action_sequence)
+        if total != HORIZON:
             raise ValueError(f"the durations sum to {total}; they must sum to {HORIZON}")
         return self
 

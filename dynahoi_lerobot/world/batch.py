@@ -59,26 +59,29 @@ class WorldBatch:
         """
         if size < 1:
             raise ValueError(f"a batch needs at least 1 world, got {size}")
-        self.rules, self.size = rules, size
+        self.rules = rules
+        self.size = size
         self.scene: Scene = compile_scene(rules.hand_name)
-        self.rule, self.control = rules.capture_rule(), rules.control
+        self.rule = rules.capture_rule()
+        self.control = rules.control
         self.specs: list[EpisodeSpec | None] = [None] * size
-        self.frame, self.attempt = np.zeros(size, int), np.ones(size, int)
+        self.frame = np.zeros(size, int)
+        self.attempt = np.ones(size, int)
         self._windows = np.zeros(size, int)  # length of each observation window [frames]
         self._origin = np.zeros((size, HAND_DOF))  # homes [m], world, and zero for the joints
         self._batch = Batch(self.scene.model, nsim=size, nthread=threads)
         self._fields = WorldFields(self._batch, self.scene)
         self.commands = Commands(size, self.scene, self.rule, self.control, rules.control_mode)
-        self.given, self.executed = self.commands.given, self.commands.executed
+        self.given = self.commands.given
+        self.executed = self.commands.executed
         self._physics = Physics(self.scene, self._batch, self._fields, self.rule)
-        self.localized, self.palm_distance_m = (
-            self._physics.localized,
-            self._physics.palm_distance_m,
-        )
+        self.localized = self._physics.localized
+        self.palm_distance_m = self._physics.palm_distance_m
         self.contacts = self._physics.contacts
         self._fingertips = Fingertips(self.scene, self._batch, self._fields)
         self.cameras = Cameras(self.scene, self._batch, rules, self.specs, self.frame)
-        self._threads, self._stage = threads, None
+        self._threads = threads
+        self._stage = None
 
     def reset(
         self,
@@ -94,7 +97,8 @@ class WorldBatch:
             attempt: how often each has been begun, for experts that try something else then.
         """
         chosen = np.asarray(ids, int)
-        self.frame[chosen], self.attempt[chosen] = 0, attempt
+        self.frame[chosen] = 0
+        self.attempt[chosen] = attempt
         self.cameras.forget(chosen)
         self._fields.reset(chosen)
         for i, spec in zip(chosen, specs, strict=True):
@@ -214,7 +218,8 @@ class WorldBatch:
             ids: the worlds to render (default: all); the images of the others are black, as are
                 the images of worlds in the control phase of a protocol with ``blind_control``.
         """
-        seen, state = np.arange(self.size) if ids is None else ids, self.state
+        seen = np.arange(self.size) if ids is None else ids
+        state = self.state
         shown = self.cameras.images(seen) if images and self.rules.image_size else {}
         truth = self.rules.environment_state == TRUTH
         return Observation(
@@ -280,4 +285,5 @@ class WorldBatch:
         self._origin[i, :PALM_DOF] = spec.home_pos_w
         self.commands.begin(i, rest, self._origin[i])
         self._fields.qpos[i, self.scene.hand_qpos] = rest + self._origin[i]
-        self.specs[i], self._windows[i] = spec, spec.window_frames
+        self.specs[i] = spec
+        self._windows[i] = spec.window_frames

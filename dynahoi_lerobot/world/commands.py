@@ -46,28 +46,24 @@ class Commands:
             control: limits and latency of the hand.
             mode: the control mode of actions.
         """
-        model, joints = scene.model, [scene.model.joint(name).id for name in HAND_NAMES]
+        model = scene.model
+        joints = [scene.model.joint(name).id for name in HAND_NAMES]
         self.low, self.high = model.jnt_range[joints].T.copy()
         damping = model.dof_damping[model.jnt_dofadr[joints]] - model.actuator_biasprm[:HAND_DOF, 2]
         self._lead_s = damping / model.actuator_gainprm[:HAND_DOF, 0]
-        self.palm_speed_m_s, self._by_axis = (
-            rule.palm_speed_m_s(control),
-            rule.gantry_speed_m_s is not None,
-        )
-        self._farthest_m, self._farthest_rad = (
-            self.palm_speed_m_s * CONTROL_DT,
-            control.joint_speed_rad_s * CONTROL_DT,
-        )
-        self._mode, self._open_and_closed = (
-            mode,
-            (scene.hand.open_joints(), scene.hand.closed_joints()),
-        )
+        self.palm_speed_m_s = rule.palm_speed_m_s(control)
+        self._by_axis = rule.gantry_speed_m_s is not None
+        self._farthest_m = self.palm_speed_m_s * CONTROL_DT
+        self._farthest_rad = control.joint_speed_rad_s * CONTROL_DT
+        self._mode = mode
+        self._open_and_closed = (scene.hand.open_joints(), scene.hand.closed_joints())
         self._range_h = np.zeros((2, size, HAND_DOF))
         self.given = np.zeros((size, HAND_DOF))
         self._way = np.zeros(
             (control.latency_frames + 1, size, HAND_DOF)
         )  # as followed, from now to the last given
-        self.executed, self.when_due = self._way[0], self._way[-1]
+        self.executed = self._way[0]
+        self.when_due = self._way[-1]
 
     def begin(self, i: int, rest: np.ndarray, origin: np.ndarray) -> None:
         """Let the hand of world ``i`` rest at (18,) ``rest``; (18,) ``origin`` is the origin of its
@@ -161,7 +157,8 @@ class Commands:
         joint ranges.
         """
         step = command - previous
-        palm, joints = step[:, :PALM_DOF], step[:, PALM_DOF:]
+        palm = step[:, :PALM_DOF]
+        joints = step[:, PALM_DOF:]
         length = np.abs(palm) if self._by_axis else np.linalg.norm(palm, axis=1, keepdims=True)
         palm = _shortened(palm, length, self._farthest_m)
         joints = _shortened(joints, np.abs(joints), self._farthest_rad)

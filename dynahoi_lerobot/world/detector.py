@@ -11,7 +11,8 @@ from dynahoi_lerobot.world.frame_history import FrameHistory
 DECIMALS = 4
 """Sightings are rounded to 0.1 mm, below which the last bits of a network differ between
 processors."""
-LEAST_LOG_ERROR, GREATEST_LOG_ERROR = -6.0, 3.0
+LEAST_LOG_ERROR = -6.0
+GREATEST_LOG_ERROR = 3.0
 
 
 def eye_state(
@@ -91,7 +92,8 @@ class Detector:
             self._seen.add(i, sighting, int(frames[i]))
             self._palms.add(i, palm[i], int(frames[i]))
             self._images[i] = image
-            seen, palms = self._seen.values[::-1, i], self._palms.values[::-1, i]
+            seen = self._seen.values[::-1, i]
+            palms = self._palms.values[::-1, i]
             states = eye_state(type(self._sensor), seen, palms, self._pose, self._intrinsics)
             self._shown[i] = states[-1]
         return self._shown.copy()

@@ -12,7 +12,8 @@ class FrameHistory:
     """
 
     def __init__(self, size: int, depth: int, shape: tuple[int, ...], dtype: type = float) -> None:
-        self.values, self.frame = np.zeros((depth, size, *shape), dtype), np.full(size, -1)
+        self.values = np.zeros((depth, size, *shape), dtype)
+        self.frame = np.full(size, -1)
 
     def forget(self, ids: np.ndarray) -> None:
         """Forget worlds ``ids`` (n,), whose episodes begin."""

@@ -31,7 +31,10 @@ class Physics:
     """
 
     def __init__(self, scene: Scene, batch: Batch, fields: WorldFields, rule: CaptureRule) -> None:
-        self._scene, self._batch, self._fields, self._rule = scene, batch, fields, rule
+        self._scene = scene
+        self._batch = batch
+        self._fields = fields
+        self._rule = rule
         self.n_controls = scene.model.nu
         self.palm_distance_m = np.full(batch.nsim, np.inf)
         self.localized, self.released = np.zeros((2, batch.nsim), bool)
@@ -42,13 +45,15 @@ class Physics:
         """Begin to drive the target of world ``i`` by (F, 25, 3) force [N], world, in each physics
         step of F frames.
         """
-        self._force_w[i], self.released[i] = force_w, False
+        self._force_w[i] = force_w
+        self.released[i] = False
 
     def reset(self, ids: np.ndarray, palm_distance_m: np.ndarray) -> None:
         """Begin an episode in worlds ``ids`` (n,), whose palms are ``palm_distance_m`` (n,) from
         their targets.
         """
-        self.palm_distance_m[ids], self.localized[ids] = palm_distance_m, False
+        self.palm_distance_m[ids] = palm_distance_m
+        self.localized[ids] = False
         for values in (
             self.contacts.finger_force_n,
             self.contacts.palm_force_n,
@@ -127,17 +132,20 @@ class Physics:
             self._keep(one, before, after)
 
     def _weld(self, i: int) -> None:
-        scene, fields = self._scene, self._fields
+        scene = self._scene
+        fields = self._fields
         position = fields.qpos[i, scene.target_qpos : scene.target_qpos + 3]
         quat = fields.qpos[i, scene.target_qpos + 3 : scene.target_qpos + 7]
-        inverse, offset = np.zeros(4), np.zeros(3)
+        inverse = np.zeros(4)
+        offset = np.zeros(3)
         mujoco.mju_negQuat(inverse, quat)
         mujoco.mju_rotVecQuat(
             offset, fields.qpos[i, scene.hand_qpos[:PALM_DOF]] - position, inverse
         )
         data = fields.fields["eq_data"]
         data[i, scene.weld_eq] = 0.0
-        data[i, scene.weld_eq, 3:6], data[i, scene.weld_eq, 6:10] = offset, inverse
+        data[i, scene.weld_eq, 3:6] = offset
+        data[i, scene.weld_eq, 6:10] = inverse
         data[i, scene.weld_eq, 10] = 1.0
         fields.eq_active[i, scene.weld_eq] = 1
         dof = scene.target_dof
@@ -163,5 +171,6 @@ class Physics:
         steps together.
         """
         for name, kept in vars(self.contacts).items():
-            if steps := [getattr(part, name) for part in parts if part is not None]:
+            steps = [getattr(part, name) for part in parts if part is not None]
+            if steps:
                 kept[ids] = np.concatenate(steps, axis=1).mean(axis=1)

@@ -90,8 +90,11 @@ class Cameras:
         self.image_size = rules.image_size or (
             DETECTOR_IMAGE_SIZE_PX if looks else DEFAULT_IMAGE_SIZE_PX
         )
-        self._scene, self._batch, self._rules = scene, batch, rules
-        self._specs, self._frame = specs, frame
+        self._scene = scene
+        self._batch = batch
+        self._rules = rules
+        self._specs = specs
+        self._frame = frame
         self._renderers: dict[str, Renderer] = {}
         self._views = (EGO_VIEW, *rules.views)
         self._grey = FrameHistory(
@@ -159,11 +162,13 @@ class Cameras:
         """(N, H, W, 3) uint8 RGB of a view with its render noise; only worlds ``ids`` (n,) are
         drawn.
         """
-        images, levels = self.render(ids, view), self._rules.render_noise
+        images = self.render(ids, view)
+        levels = self._rules.render_noise
         if levels:
             images = images.copy()
             for i in ids:
-                if (spec := self._specs[i]) is not None:
+                spec = self._specs[i]
+                if spec is not None:
                     images[i] = with_render_noise(
                         images[i], levels, spec.seed, int(self._frame[i]), view
                     )
@@ -223,7 +228,8 @@ class Stage:
 
         `Cameras` would have shown the same images while row ``i`` of ``world`` played ``spec``.
         """
-        self._specs[:], parts = [spec] * STAGE_FRAMES, []
+        self._specs[:] = [spec] * STAGE_FRAMES
+        parts = []
         for first in range(0, len(visual_states), STAGE_FRAMES):
             rows = self._fields.copy(world, i, visual_states[first : first + STAGE_FRAMES])
             self._frame[:] = first + np.arange(STAGE_FRAMES)
@@ -242,15 +248,19 @@ class Fingertips:
     """
 
     def __init__(self, scene: Scene, batch: Batch, fields: WorldFields) -> None:
-        self._scene, self._fields = scene, fields
-        self._geom_pos, self._geom_mat = batch.bind("geom_xpos"), batch.bind("geom_xmat")
-        self._site_pos, self._site_mat = batch.bind("site_xpos"), batch.bind("site_xmat")
+        self._scene = scene
+        self._fields = fields
+        self._geom_pos = batch.bind("geom_xpos")
+        self._geom_mat = batch.bind("geom_xmat")
+        self._site_pos = batch.bind("site_xpos")
+        self._site_mat = batch.bind("site_xmat")
 
     def frames(self, ids: np.ndarray) -> np.ndarray:
         """Return (n, 5 + S, 12) position [m] and rotation matrix, world, of each fingertip and of
         each of the S ``target_geoms`` in worlds ``ids`` (n,).
         """
-        tips, solids = self._scene.tip_sites, self._scene.target_geoms
+        tips = self._scene.tip_sites
+        solids = self._scene.target_geoms
         frames = np.empty((len(ids), len(tips) + len(solids), 12))
         rows = ids[:, None]
         frames[:, : len(tips), :3] = self._site_pos[rows, tips]

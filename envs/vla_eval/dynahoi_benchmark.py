@@ -66,13 +66,12 @@ class DynahoiBenchmark(StepBenchmark):
                 server.
         """
         super().__init__()
-        timing, server = (
-            Inference(inference, latency_ms),
-            QueuedPolicy("the model server", n_action_steps),
-        )
+        timing = Inference(inference, latency_ms)
+        server = QueuedPolicy("the model server", n_action_steps)
         self._inference = None if inference == SYNC else StepwiseInference(server, timing)
         self._recipe = Recipe.of(**{"split": "test_small"} | fields)
-        self._kinds, self._send_state = kinds, send_state
+        self._kinds = kinds
+        self._send_state = send_state
         self._env: DynahoiVectorEnv | None = None
 
     def get_tasks(self) -> list[Task]:

@@ -66,7 +66,8 @@ def test_a_wide_terminal_shows_a_list_as_a_table(monkeypatch, capsys):
 
 
 def test_an_evaluation_goes_on_where_it_stopped_and_its_episodes_are_shown(tmp_path, capsys):
-    out, shown = tmp_path / "r", {}
+    out = tmp_path / "r"
+    shown = {}
     words = [
         "evaluate",
         "--policy",

@@ -190,11 +190,10 @@ def test_steering_moves_the_palm_where_it_points():
     world = LiveWorld(RECIPE, "constant", realtime=False)
     world.begin(0, "test")
     home = Steering().command(world)
-    right, up = Steering(x=1.0).command(world) - home, Steering(y=1.0).command(world) - home
-    forward, closed = (
-        Steering(depth=1.0).command(world) - home,
-        Steering(closed=1.0).command(world) - home,
-    )
+    right = Steering(x=1.0).command(world) - home
+    up = Steering(y=1.0).command(world) - home
+    forward = Steering(depth=1.0).command(world) - home
+    closed = Steering(closed=1.0).command(world) - home
     assert right[1] < -0.1, "the palm faces +x, so right is -y"
     assert up[2] > 0.1
     assert forward[0] > 0.1

@@ -48,7 +48,8 @@ def test_an_evaluation_that_stopped_halfway_is_done_again(
     """The environment writes results after every kind of motion, so a folder with some of them is
     not all.
     """
-    partial, results = tmp_path / "results" / "obact.partial", tmp_path / "results" / "obact"
+    partial = tmp_path / "results" / "obact.partial"
+    results = tmp_path / "results" / "obact"
     errors = [CommandError("code 1")]
 
     def run_lerobot(_: str, words: list[str], *__: object) -> None:

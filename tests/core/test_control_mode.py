@@ -31,8 +31,10 @@ RECIPE = RECORDING.recipe
 
 
 def test_the_two_ways_are_inverse():
-    rng, hand = np.random.default_rng(0), HANDS["capsule"]
-    pose, state = (hand.open_joints(), hand.closed_joints()), rng.normal(size=(5, 18))
+    rng = np.random.default_rng(0)
+    hand = HANDS["capsule"]
+    pose = (hand.open_joints(), hand.closed_joints())
+    state = rng.normal(size=(5, 18))
     action = np.column_stack([rng.normal(size=(5, 3)), rng.random(5)])
     np.testing.assert_allclose(
         to_grasp(from_grasp(action, state, *pose), state, *pose), action, atol=1e-12

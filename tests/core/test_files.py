@@ -44,7 +44,8 @@ def test_a_link_in_the_place_of_the_lock_is_not_followed(tmp_path: Path):
 
 
 def test_only_the_folder_of_the_same_task_is_entered(tmp_path: Path):
-    folder, foreign = tmp_path / "work", tmp_path / "foreign"
+    folder = tmp_path / "work"
+    foreign = tmp_path / "foreign"
     with pytest.raises(RuntimeError), working_folder(folder, {}):
         raise RuntimeError
     assert not folder.exists(), "what fails before it made anything leaves nothing"

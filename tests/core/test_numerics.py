@@ -27,7 +27,8 @@ def rotations(angle_rad: float) -> tuple[np.ndarray, np.ndarray]:
     """
     axes = np.vstack([np.random.default_rng(2).normal(size=(60, 3)), np.eye(3), -np.eye(3)])
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    quats, matrices = np.zeros((len(axes), 4)), np.zeros((len(axes), 9))
+    quats = np.zeros((len(axes), 4))
+    matrices = np.zeros((len(axes), 9))
     for quat, matrix, axis in zip(quats, matrices, axes, strict=True):
         mujoco.mju_axisAngle2Quat(quat, axis, angle_rad)
         mujoco.mju_quat2Mat(matrix, quat)
@@ -38,7 +39,8 @@ def rotations(angle_rad: float) -> tuple[np.ndarray, np.ndarray]:
 def test_rotations_are_converted_as_mujoco_does(angle_rad: float):
     quats, matrices = rotations(angle_rad)
     np.testing.assert_allclose(quat_to_matrix(quats), matrices, atol=1e-14)
-    ours, vectors = matrix_to_quat(matrices), matrix_to_rotvec(matrices)
+    ours = matrix_to_quat(matrices)
+    vectors = matrix_to_rotvec(matrices)
     assert (ours[:, 0] >= 0).all()
     np.testing.assert_allclose(np.linalg.norm(ours, axis=1), 1.0)
     np.testing.assert_allclose(np.abs((ours * quats).sum(axis=1)), 1.0, atol=1e-12)
@@ -46,7 +48,8 @@ def test_rotations_are_converted_as_mujoco_does(angle_rad: float):
     # the angle enters a matrix as 1 - cos, whose rounding hides angles within 1e-8 of pi
     np.testing.assert_allclose(np.linalg.norm(vectors, axis=1), angle_rad, atol=3e-8)
     for vector, matrix in zip(vectors, matrices, strict=True):
-        quat, back = np.zeros(4), np.zeros(9)
+        quat = np.zeros(4)
+        back = np.zeros(9)
         angle = np.linalg.norm(vector)
         mujoco.mju_axisAngle2Quat(
             quat, vector / angle if angle else np.array([1.0, 0.0, 0.0]), angle

@@ -38,7 +38,8 @@ def played() -> list[str]:
     """What the expert does in its first episode of each kind, and in some behind a screen and with
     contacts.
     """
-    lines, test = [], Recipe.of(split="test", image_size=0)
+    lines = []
+    test = Recipe.of(split="test", image_size=0)
     for recipe, count in (
         (test, 22),
         (changed(test, {"protocol": "occluded"}), 4),

@@ -81,7 +81,8 @@ def write_with_lerobot(root: Path, episodes: list[Episode], encoding) -> None:
 @pytest.fixture(scope="module", params=["h264", "images"])
 def pair(request, tmp_path_factory) -> tuple[Path, Path]:
     """The same episodes written by us and by LeRobot."""
-    folder, encoding = tmp_path_factory.mktemp("pair"), Encoding(codec=request.param)
+    folder = tmp_path_factory.mktemp("pair")
+    encoding = Encoding(codec=request.param)
     episodes = [varied_episode(seed) for seed in SEEDS]
     write_episodes(folder / "ours", episodes, encoding)
     write_with_lerobot(folder / "theirs", episodes, encoding)
@@ -196,14 +197,16 @@ def test_opening_says_nothing_where_torchcodec_is_unusable(dataset, monkeypatch,
 def test_windows_over_time_stay_within_the_episode(dataset):
     times = {"action": [0.0, 0.05, 0.1], "observation.images.ego": [-0.05, 0.0]}
     opened = open_dataset(dataset, delta_timestamps=times)
-    start, last = LENGTHS[0], LENGTHS[0] + LENGTHS[1] - 1
+    start = LENGTHS[0]
+    last = LENGTHS[0] + LENGTHS[1] - 1
     episode = varied_episode(1)
     for index, actions, images in (
         (start, [0, 1, 2], [0, 0]),
         (start + 3, [3, 4, 5], [2, 3]),
         (last, [LENGTHS[1] - 1] * 3, [LENGTHS[1] - 2, LENGTHS[1] - 1]),
     ):
-        item, frame = opened[index], index - start
+        item = opened[index]
+        frame = index - start
         np.testing.assert_array_equal(item["action"], episode.action[actions])
         assert item["action_is_pad"].tolist() == [frame + i >= LENGTHS[1] for i in range(3)]
         assert item["observation.images.ego_is_pad"].tolist() == [frame == 0, False]

@@ -30,7 +30,8 @@ def assert_same(before: Episode, after: Episode) -> None:
     """Compare all but images."""
     assert (after.meta, after.success, after.stage) == (before.meta, before.success, before.stage)
     for name, feature in FEATURES.items():
-        one, other = getattr(before, name), getattr(after, name)
+        one = getattr(before, name)
+        other = getattr(after, name)
         assert (one is None) == (other is None), name
         if one is not None:
             np.testing.assert_array_equal(
@@ -103,7 +104,8 @@ def test_files_roll_over_at_their_limits(tmp_path):
 
 
 def test_what_is_no_dataset_or_would_replace_one_is_refused_and_leaves_nothing(tmp_path, dataset):
-    before, new = hash_files(dataset), tmp_path / "d"
+    before = hash_files(dataset)
+    new = tmp_path / "d"
     for error, attempt in (
         (ValueError, lambda: write_episodes(new, [varied_episode(1, 33)])),
         (ValueError, lambda: write_episodes(new, [])),
@@ -153,12 +155,11 @@ def test_merging_gives_the_bytes_of_writing_at_once(tmp_path, codec):
 
 
 def test_a_copy_of_some_episodes_gives_the_bytes_of_writing_them(tmp_path):
-    root, wanted = (
-        write(tmp_path / "d", range(6), views=("side",)),
-        write(tmp_path / "w", [1, 2, 4], views=("side",)),
-    )
+    root = write(tmp_path / "d", range(6), views=("side",))
+    wanted = write(tmp_path / "w", [1, 2, 4], views=("side",))
     assert copy_subset(root, tmp_path / "kept", [4, 1, 2]).provenance["kept"] == [1, 2, 4]
-    found, held = hash_files(tmp_path / "kept"), hash_files(wanted)
+    found = hash_files(tmp_path / "kept")
+    held = hash_files(wanted)
     assert {name for name in held if found[name] != held[name]} == {"README.md"}
 
 
@@ -171,7 +172,8 @@ def test_a_copy_of_some_episodes_gives_the_bytes_of_writing_them(tmp_path):
     ],
 )
 def test_merge_refuses_datasets_of_other_options_and_names_the_column(tmp_path, other, column):
-    plain, unlike = write(tmp_path / "a", range(1)), write(tmp_path / "b", range(1), **other)
+    plain = write(tmp_path / "a", range(1))
+    unlike = write(tmp_path / "b", range(1), **other)
     for parts in ([plain, unlike], [unlike, plain]):
         with pytest.raises(
             ValueError, match=f"other features than {re.escape(str(parts[0]))} .{column}"
@@ -181,7 +183,8 @@ def test_merge_refuses_datasets_of_other_options_and_names_the_column(tmp_path, 
 
 
 def test_merge_refuses_versions_of_the_benchmark(tmp_path):
-    old, new = tmp_path / "old", write(tmp_path / "new", range(1))
+    old = tmp_path / "old"
+    new = write(tmp_path / "new", range(1))
     made = varied_episode(1)
     write_episodes(
         old, [dataclasses.replace(made, meta=dataclasses.replace(made.meta, benchmark="v0"))]
@@ -237,7 +240,8 @@ def test_the_metadata_of_its_card_are_lerobots_and_more(dataset: Path):
 
 
 def test_its_card_counts_and_describes_what_is_there(dataset: Path):
-    manifest, card = Manifest.read(dataset), (dataset / "README.md").read_text()
+    manifest = Manifest.read(dataset)
+    card = (dataset / "README.md").read_text()
     assert f"{manifest.episodes} episodes ({manifest.frames} frames" in card
     assert "{{" not in card.replace("{{DynaHOI}", "")
     for key in [*Store(dataset).features, *(feature.key for feature in privileged_features())]:

@@ -127,7 +127,8 @@ def run(words: list[str]) -> None:
     """Run a command in this process, as its console script does."""
     AcceleratorState._reset_state(reset_partial_state=True)
     (script,) = entry_points(group="console_scripts", name=words[0])
-    before, sys.argv = sys.argv, words
+    before = sys.argv
+    sys.argv = words
     try:
         code = script.load()()
     except SystemExit as end:

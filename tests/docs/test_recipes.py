@@ -75,7 +75,8 @@ def test_a_training_recipe_leaves_the_device_to_lerobot_and_can_be_evaluated(pat
 def test_recipes_that_no_page_trains_do_so_as_their_headers_say(tmp_path, subtests, monkeypatch):
     monkeypatch.chdir(tmp_path)  # and back
     prepare(tmp_path)
-    generated, played_by_pages = set(), [words for page in pages() for words in page.commands]
+    generated = set()
+    played_by_pages = [words for page in pages() for words in page.commands]
     for path in recipes("train"):
         with subtests.test(recipe=path.stem):
             made, root, (train, *evaluate) = prepared(path)

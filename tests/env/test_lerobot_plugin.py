@@ -79,7 +79,8 @@ def test_lerobots_loop_and_ours_give_the_same_rows(tmp_path: Path, monkeypatch: 
         "--eval.batch_size=1",
     )
     found = through_lerobot(SHIPPED, tmp_path, monkeypatch, *options, "--eval.n_episodes=1")
-    agent, recipe = PolicyAgent(str(SHIPPED), "cpu"), found.recipe()
+    agent = PolicyAgent(str(SHIPPED), "cpu")
+    recipe = found.recipe()
     specs = sample_specs(recipe, [row["seed"] for row in found.rows])
     ours = {
         episode.meta.seed: episode
@@ -269,7 +270,8 @@ def test_a_policy_with_a_queue_plays_as_with_whole_chunks(
     checkpoint = request.getfixturevalue(policy)
     found = through_lerobot(checkpoint, tmp_path, monkeypatch, *LATE, *QUEUES[policy])
     assert found.info.extra["inference"] == "async 150 ms"
-    late, recipe = Inference("async", 150.0), found.recipe()
+    late = Inference("async", 150.0)
+    recipe = found.recipe()
     agent = RealTimeAgent(PolicyAgent(str(checkpoint)), late)
     specs = sample_specs(recipe, sorted(row["seed"] for row in found.rows))
     expected = {

@@ -21,7 +21,8 @@ def test_a_unit_action_moves_the_palm_by_what_it_can_in_a_step(control_class, st
     for env, shape in ((one, (4,)), (many, (2, 4))):
         env.reset(seed=0)
         action = np.zeros(shape, np.float32)
-        action[..., 0], action[..., 3] = 1, 1
+        action[..., 0] = 1
+        action[..., 3] = 1
         env.step(action)
         world = env.unwrapped if env is many else env.unwrapped._vector
         given = world._batch.given[0]
@@ -56,7 +57,8 @@ def test_worlds_learn_with_stable_baselines() -> None:
 def test_worlds_give_the_last_observation_of_an_episode_and_say_how_it_ended() -> None:
     from dynahoi_lerobot.env.stable_baselines import Worlds
 
-    env, twin = Worlds(vector()), vector(autoreset_mode="Disabled")
+    env = Worlds(vector())
+    twin = vector(autoreset_mode="Disabled")
     env.seed(5)
     first = env.reset()
     seen = twin.reset(seed=5)[0]

@@ -60,7 +60,8 @@ def catch(robot: DynahoiRobot, clock: Clock, jitter_s: float = 0.0, thinking_s: 
     """
     expert = make_teleoperator_from_config(DynahoiExpertConfig())
     expert.connect()
-    rng, begun_s = np.random.default_rng(0), clock.now_s
+    rng = np.random.default_rng(0)
+    begun_s = clock.now_s
     for k in range(400):
         clock.now_s = begun_s + k * FRAME_S + (rng.uniform(-jitter_s, jitter_s) if k else 0.0)
         robot.get_observation()
@@ -179,7 +180,8 @@ def keep_still(robot: DynahoiRobot, clock: Clock, frames: int) -> None:
 def test_writing_the_results_of_an_episode_is_no_pause_of_lerobots(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    clock, write = Clock(), Results.write
+    clock = Clock()
+    write = Results.write
 
     def write_slowly(results: Results) -> None:
         clock.now_s += 0.4
@@ -196,7 +198,8 @@ def test_writing_the_results_of_an_episode_is_no_pause_of_lerobots(
 
 
 def test_a_person_at_the_page_moves_the_robot():
-    browser, seen = make_teleoperator_from_config(DynahoiBrowserConfig(port=0)), []
+    browser = make_teleoperator_from_config(DynahoiBrowserConfig(port=0))
+    seen = []
 
     async def steer():
         while not browser.server.address:

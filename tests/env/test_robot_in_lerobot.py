@@ -191,7 +191,8 @@ def test_the_expert_corrects_a_policy(
 
         def __init__(self, dispatch, controls_help: str) -> None:
             super().__init__(daemon=True)
-            self.dispatch, self.over = dispatch, threading.Event()
+            self.dispatch = dispatch
+            self.over = threading.Event()
             self.start()
 
         def run(self) -> None:

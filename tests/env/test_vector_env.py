@@ -99,10 +99,12 @@ def test_the_mask_of_a_metric_is_false_where_it_does_not_apply() -> None:
 
 def test_the_single_envs_info_has_the_same_keys_and_types_at_every_step() -> None:
     env = made("constant", image_size=0)
-    infos, ended = [env.reset(seed=0)[1]], False
+    infos = [env.reset(seed=0)[1]]
+    ended = False
     while not ended:
         _, _, terminated, truncated, info = env.step(np.zeros(18, np.float32))
-        infos, ended = [*infos, info], terminated or truncated
+        infos = [*infos, info]
+        ended = terminated or truncated
     kinds = {"is_success": bool} | dict.fromkeys(METRICS.names(), float)
     assert all({name: type(value) for name, value in info.items()} == kinds for info in infos)
     assert not any(any(info.values()) for info in infos[:-1]), "no metric before the end"
@@ -210,10 +212,12 @@ def test_gymnasiums_vector_wrappers_understand_every_autoreset_mode(mode: Autore
         env = vector_wrappers.FlattenObservation(env)
     env = vector_wrappers.RecordEpisodeStatistics(env)
     env.reset(seed=0)
-    rewards, ended = np.zeros(2), np.zeros(2, bool)
+    rewards = np.zeros(2)
+    ended = np.zeros(2, bool)
     while not ended.any():
         _, reward, terminated, truncated, info = env.step(env.action_space.sample())
-        rewards, ended = rewards + reward, terminated | truncated
+        rewards = rewards + reward
+        ended = terminated | truncated
     np.testing.assert_allclose(info["episode"]["r"][ended], rewards[ended])
 
 
@@ -310,8 +314,12 @@ def played(
     successes (N,).
     """
     observation, _ = env.reset(seed=0, options={"lerobot_new_rollout": True})
-    batch, rewards, phases, potentials = env._batch, [], [], []
-    ended, success = np.zeros(env.num_envs, bool), np.zeros(env.num_envs, bool)
+    batch = env._batch
+    rewards = []
+    phases = []
+    potentials = []
+    ended = np.zeros(env.num_envs, bool)
+    success = np.zeros(env.num_envs, bool)
     while not ended.all():
         phases.append(is_acting(observation["phase"]))
         potentials.append(promise(batch))
@@ -353,7 +361,8 @@ def test_a_recording_holds_the_dense_reward_of_the_environment(capture: str):
 
 
 def test_closing_further_near_the_target_is_worth_more_until_the_grasp_is_one():
-    opened, reference = np.zeros(15), np.full(15, 1.0)
+    opened = np.zeros(15)
+    reference = np.full(15, 1.0)
     shares = np.array([0.0, 0.4, 0.8, 0.9, 1.2, 1.5])
     near = potential(np.full(6, 0.01), closure(shares[:, None] * reference, opened, reference))
     assert (np.diff(near)[:3] > 0.05).all()
@@ -419,7 +428,8 @@ def test_a_closed_env_says_so(make: Callable) -> None:
 
 
 def test_seeds_are_whole_numbers_below_two_to_the_forty_one_for_each_world() -> None:
-    one, two = single(image_size=0), vector(image_size=0)
+    one = single(image_size=0)
+    two = vector(image_size=0)
     for seed in (-1, 1.5, "3", 2**40, True, np.float64(2.0)):
         for env, given in ((one, seed), (two, seed), (two, [0, seed])):
             with pytest.raises(ValueError, match="a seed must be an integer"):

@@ -35,7 +35,9 @@ class Server:
     """
 
     def __init__(self, benchmark: DynahoiBenchmark, *, moves: bool) -> None:
-        self.benchmark, self.moves, self.observations = benchmark, moves, []
+        self.benchmark = benchmark
+        self.moves = moves
+        self.observations = []
 
     async def start_episode(self, payload: dict) -> None:
         self.task = payload["task"]
@@ -94,7 +96,8 @@ def test_how_fast_a_server_is_changes_nothing_that_obact_does(monkeypatch: pytes
 
     class Served(Server):
         async def start_episode(self, payload: dict) -> None:
-            self.task, self.actions = payload["task"], []
+            self.task = payload["task"]
+            self.actions = []
             server._policy.reset()
 
         async def act(self, observation: dict) -> dict:
@@ -118,10 +121,10 @@ def test_the_world_moves_on_while_a_server_infers():
     """It stands still while the queue of four is read, until the chunk before is used up, and then
     moves twice.
     """
-    benchmark, frames = (
-        DynahoiBenchmark(image_size=32, inference="async", latency_ms=100.0, n_action_steps=4),
-        [],
+    benchmark = DynahoiBenchmark(
+        image_size=32, inference="async", latency_ms=100.0, n_action_steps=4
     )
+    frames = []
     task = {"name": "constant", "episode_idx": 0}
     observation = benchmark.make_obs(benchmark.reset(task), task)
     for _ in range(12):
@@ -146,7 +149,8 @@ def test_the_harness_takes_the_config_and_every_episode_is_another_one(path: Pat
     (only,) = load_config(str(path))["benchmarks"]
     config = EvalConfig.from_dict(only)
     benchmark: Benchmark = resolve_import_string(config.benchmark)(**config.params)
-    tasks, split = benchmark.get_tasks(), config.params["split"]
+    tasks = benchmark.get_tasks()
+    split = config.params["split"]
     assert {task["suite"] for task in tasks} == set(CATEGORIES)
     recipe = Recipe(split=split)
     held = [len(kind_seeds(recipe, task["name"])) for task in tasks]

@@ -76,7 +76,8 @@ def test_an_adapter_of_a_checkpoint_with_an_average_adapts_the_average(actor, tm
     training = ObActPolicy(config)
     for weight in training.acting.parameters():
         weight.data += 0.05 * torch.randn_like(weight)
-    base, folder = tmp_path / "base", tmp_path / "adapter"
+    base = tmp_path / "base"
+    folder = tmp_path / "adapter"
     training.save_pretrained(base)
     for file in actor.glob("policy_*"):
         shutil.copy(file, base)

@@ -47,7 +47,8 @@ def test_results_of_another_evaluation_stay_and_what_differs_is_named(tmp_path, 
 
 def test_a_full_disk_is_one_sentence_and_the_run_resumes(tmp_path, monkeypatch, capsys):
     words = [*HOLD, "--episodes", "4", "--batch-size", "2", "--out", str(tmp_path)]
-    write, calls = np.savez, []
+    write = np.savez
+    calls = []
 
     def full(*args: object, **arrays: np.ndarray) -> None:
         calls.append(len(arrays["seed"]))
@@ -123,7 +124,8 @@ def test_a_policy_that_samples_gives_the_same_rows_when_it_is_interrupted(
     ]
     words += ["--episodes", "5", "--batch-size", "2", "--out"]
     assert main([*words, str(tmp_path / "whole")]) == 0
-    write, saves = Results.write, []
+    write = Results.write
+    saves = []
 
     def killed(results: Results) -> None:
         write(results)

@@ -79,7 +79,8 @@ def test_rates_are_compared_by_their_discordant_episodes():
 
 
 def test_a_constant_paired_difference_has_no_spread():
-    a, b = results([1.0, 2.0, 3.0, 9.0], "E_loc"), results([0.5, 1.5, 2.5, 8.5], "E_loc")
+    a = results([1.0, 2.0, 3.0, 9.0], "E_loc")
+    b = results([0.5, 1.5, 2.5, 8.5], "E_loc")
     found = compare(a, b, "E_loc")
     assert (found.value, found.low, found.high) == (0.5, 0.5, 0.5)
     assert found.p_value == 2 / 16
@@ -89,7 +90,8 @@ def test_a_constant_paired_difference_has_no_spread():
 
 
 def test_commands_are_as_far_apart_as_the_palms_in_the_control_frames_that_both_have():
-    a, b = results([1.0, 1.0]), results([1.0, 1.0])
+    a = results([1.0, 1.0])
+    b = results([1.0, 1.0])
     for actions, offset_m in zip(b.actions, (0.03, 0.05), strict=True):
         actions[8:, :3] += (0.0, offset_m, 0.0)
         actions[:8], actions[:, 3:] = 9.0, 9.0  # neither the window nor the fingers count
@@ -100,7 +102,8 @@ def test_commands_are_as_far_apart_as_the_palms_in_the_control_frames_that_both_
 
 
 def test_only_the_same_episodes_are_paired_whatever_their_order():
-    a, b = results([1.0, 2.0, 3.0], "E_loc"), results([20.0, 30.0, 40.0], "E_loc", first_seed=1)
+    a = results([1.0, 2.0, 3.0], "E_loc")
+    b = results([20.0, 30.0, 40.0], "E_loc", first_seed=1)
     backwards = Results(b.folder, b.info, b.rows[::-1], b.actions)
     assert paired_values(a, backwards, "E_loc").tolist() == [[2.0, 20.0], [3.0, 30.0]]
     conditional = results([1.0, None, 0.0], "S_gra"), results([1.0, 1.0, None], "S_gra")
@@ -154,12 +157,14 @@ def test_a_comparison_is_exactly_the_opposite_of_the_reverse(metric: str):
 
 @pytest.mark.parametrize("values", [[-1.0, 0.0, 1.0], [2.0, -2.0] * 9, [0.0] * 4])
 def test_symmetric_differences_are_opposite_too(values: list):
-    a, b = results(values, "E_loc"), results([0.0] * len(values), "E_loc")
+    a = results(values, "E_loc")
+    b = results([0.0] * len(values), "E_loc")
     assert_opposite(compare(a, b, "E_loc"), compare(b, a, "E_loc"))
 
 
 def test_commands_are_as_far_apart_from_either_side():
-    a, b = results([1.0] * 9), results([1.0] * 9)
+    a = results([1.0] * 9)
+    b = results([1.0] * 9)
     for place, actions in enumerate(b.actions):
         actions[:, 0] += 0.01 * place**2
     assert compare(a, b, COMMANDS) == compare(b, a, COMMANDS)
@@ -183,7 +188,8 @@ def test_a_metric_that_one_evaluation_did_not_measure_is_not_compared():
     ],
 )
 def test_other_conditions_are_refused_unless_they_are_what_is_compared(other: dict):
-    a, b = results([1.0, 1.0]), results([0.0, 1.0], folder="b", **other)
+    a = results([1.0, 1.0])
+    b = results([0.0, 1.0], folder="b", **other)
     ((name, value),) = other.items()
     with pytest.raises(
         ValueError,

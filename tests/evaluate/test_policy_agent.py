@@ -36,7 +36,8 @@ def test_settings_change_the_config_and_nothing_else() -> None:
 def test_a_measured_inference_is_of_one_world_and_may_outlast_the_chunk_before(
     mode, actor, tmp_path, monkeypatch
 ):
-    plan, worlds = PolicyAgent.plan, []
+    plan = PolicyAgent.plan
+    worlds = []
 
     def slow(
         agent: PolicyAgent, observation: Observation, chosen: np.ndarray, **told: Any
@@ -78,7 +79,8 @@ def test_a_measured_inference_is_of_one_world_and_may_outlast_the_chunk_before(
 
 def test_a_policy_plays_on_without_the_worlds_that_have_ended(specs):
     seen = world(specs[:3], image_size=96)
-    agent, whole = PolicyAgent(CHECKPOINT), PolicyAgent(CHECKPOINT)
+    agent = PolicyAgent(CHECKPOINT)
+    whole = PolicyAgent(CHECKPOINT)
     for one in (agent, whole):
         one.reset(3)
         one.act(seen.observe())
@@ -93,11 +95,9 @@ def test_a_policy_plays_on_without_the_worlds_that_have_ended(specs):
 
 
 def test_guidance_continues_what_is_left_of_a_chunk_or_where_it_led(specs, monkeypatch):
-    agent, observation, left = (
-        PolicyAgent(CHECKPOINT),
-        world(specs[:1], image_size=96).observe(),
-        [],
-    )
+    agent = PolicyAgent(CHECKPOINT)
+    observation = world(specs[:1], image_size=96).observe()
+    left = []
     agent.reset(1)
     (chunk,), _ = agent.plan(observation, np.array([0]))
     predict = agent._policy.predict_action_chunk
@@ -128,7 +128,8 @@ def test_diffusion_policy_plans_from_the_noted_frames(tmp_path: Path) -> None:
         {key: torch.rand(shape) for key, shape in shapes.items()} | no_action for _ in range(3)
     ]
     noise = torch.randn(2, 8, 18)
-    asked_always, asked_once = copy.deepcopy(diffusion), copy.deepcopy(diffusion)
+    asked_always = copy.deepcopy(diffusion)
+    asked_once = copy.deepcopy(diffusion)
     for frame in frames:
         asked_always.select_action(dict(frame))
     for frame in frames[:-1]:

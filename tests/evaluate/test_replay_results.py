@@ -158,7 +158,8 @@ def test_a_forged_result_is_found(honest, tmp_path, forge, finding, capsys):
 def test_results_of_a_salt_are_replayed_by_who_knows_it(
     tmp_path: Path, capsys: pytest.CaptureFixture
 ):
-    secret, folder = "a secret of sixteen letters", str(tmp_path / "results")
+    secret = "a secret of sixteen letters"
+    folder = str(tmp_path / "results")
     assert (
         main(["evaluate", "--policy", "hold", "--episodes", "2", "--salt", secret, "--out", folder])
         == 0

@@ -91,7 +91,8 @@ def save(folder: Path, count: int) -> None:
 def test_an_interrupted_run_resumes_whichever_files_it_had_renamed(
     tmp_path: Path, before: int, renamed: int
 ):
-    part, drafts = tmp_path / "part", tmp_path / "drafts"
+    part = tmp_path / "part"
+    drafts = tmp_path / "drafts"
     part.mkdir()
     if before:
         save(part, before)

@@ -50,8 +50,10 @@ def test_bins_of_duration_and_of_travel_from_the_palm_at_control_start_to_the_in
         121: ">120",
     }
     assert {n: label("duration", length_frames=n) for n in frames} == frames
-    window, state = EPISODE.meta.window_frames, EPISODE.state.copy()
-    start, state[:window, :3] = state[window, :3], 50.0
+    window = EPISODE.meta.window_frames
+    state = EPISODE.state.copy()
+    start = state[window, :3]
+    state[:window, :3] = 50.0
     far_m = {0.0: "0-0.5", 0.04: "0-0.5", 0.06: "0.5-2", 0.21: "2-4", 0.39: "2-4", 0.41: ">4"}
     for distance_m, expected in far_m.items():
         goal = start + np.array([0, distance_m, 0], np.float32)
@@ -149,7 +151,8 @@ def test_the_contact_rule_leads_with_holding():
 
 
 def test_a_metric_that_does_not_apply_is_an_empty_cell_or_no_column():
-    attach, contact = results(), results(capture="contact")
+    attach = results()
+    contact = results(capture="contact")
     assert contact.summary["S_joint"] == Estimate(None, None, None, "fraction", 0)
     assert columns_for([contact]) == ("S_hold", "S_loc", "E_loc", "E_gra", *MAIN_COLUMNS[-3:])
     table = metrics_table(["a", "c"], [attach, contact], columns_for([attach, contact]))
@@ -175,7 +178,9 @@ def bold(*results: Results, metric: str = "S_loc") -> list[bool]:
 
 
 def test_bold_is_what_a_paired_test_of_enough_episodes_supports():
-    good, fair, bad = [1.0] * 40, [1.0] * 38 + [0.0] * 2, [1.0, 0.0] * 20
+    good = [1.0] * 40
+    fair = [1.0] * 38 + [0.0] * 2
+    bad = [1.0, 0.0] * 20
     assert bold(skilled(good), skilled(bad)) == [True, False]
     assert bold(skilled(bad), skilled(good)) == [False, True]
     assert bold(skilled(good), skilled(fair)) == [False, False], "2 of 40 may be chance"
@@ -187,5 +192,6 @@ def test_bold_is_what_a_paired_test_of_enough_episodes_supports():
         "ten episodes neither win nor stand in the way"
     )
     assert bold(skilled(good, first=100), skilled(bad)) == [False, False], "no episode in common"
-    far, near = [1.0] * 40, [0.5] * 40
+    far = [1.0] * 40
+    near = [0.5] * 40
     assert bold(skilled(far, "E_loc"), skilled(near, "E_loc"), metric="E_loc") == [False, True]

@@ -23,7 +23,8 @@ def run(*words, record=recorder.record) -> int:
 
 
 def test_generates_and_summarises(tmp_path, capsys):
-    root, summary = tmp_path / "d", tmp_path / "summary.json"
+    root = tmp_path / "d"
+    summary = tmp_path / "summary.json"
     assert (
         run("--root", root, "--episodes", 3, "--seed", 7, "--image-size", 16, "--json", summary)
         == 0

@@ -35,7 +35,10 @@ def start(root: Path) -> int:
 
 
 def test_killed_at_random_instants(undisturbed, tmp_path):
-    begin, rng, killed, root = time.monotonic(), random.Random(7), 0, tmp_path / "d"
+    begin = time.monotonic()
+    rng = random.Random(7)
+    killed = 0
+    root = tmp_path / "d"
     os.waitpid(start(tmp_path / "first"), 0)
     longest_s = time.monotonic() - begin
     shutil.rmtree(tmp_path / "first")

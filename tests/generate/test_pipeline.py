@@ -57,7 +57,8 @@ def test_any_shard_size_gives_the_same_tables_and_videos_and_progress_counts_epi
     seen: list[int] = []
     generate(plan(shard_episodes=4), tmp_path / "d", record=recorder.record, progress=seen.append)
     assert seen == [*range(1, 11), 10]
-    one, other = hash_files(reference), hash_files(tmp_path / "d")
+    one = hash_files(reference)
+    other = hash_files(tmp_path / "d")
     assert {name for name in one if one[name] != other[name]} == {"README.md"}, (
         "which shows the plan"
     )

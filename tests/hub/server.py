@@ -52,7 +52,9 @@ class Hub:
 
 class RefusalError(Exception):
     def __init__(self, status: int, code: str = "", message: str = "", **details: str) -> None:
-        self.status, self.code, self.body = status, code, {"error": message, **details}
+        self.status = status
+        self.code = code
+        self.body = {"error": message, **details}
 
 
 @contextmanager
@@ -262,7 +264,8 @@ def tree(handler: _Handler, body: bytes, kind: str, name: str, revision: str) ->
 
 
 def resolve(handler: _Handler, body: bytes, **parts: str) -> Answer:
-    revision, path = parts["revision"], parts["path"]
+    revision = parts["revision"]
+    path = parts["path"]
     repo = handler.repo(parts.get("kind", "models"), parts["name"])
     sha = handler.sha(repo, revision)
     if path not in (files := repo.commits[sha]):

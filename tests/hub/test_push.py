@@ -97,7 +97,8 @@ def write_split(
 
 
 ROOT = Path(__file__).parents[2]
-DATASET, MODEL = "datasets/me/catching", "models/me/policy"
+DATASET = "datasets/me/catching"
+MODEL = "models/me/policy"
 
 
 def refused(
@@ -343,10 +344,8 @@ def test_results_under_other_rules_or_of_fewer_episodes_have_other_names(
 ):
     push(checkpoint, "me/policy")
     for number, (options, _) in enumerate(CONDITIONS):
-        seeds, rest = (
-            options.get("seeds", range(110)),
-            {k: v for k, v in options.items() if k != "seeds"},
-        )
+        seeds = options.get("seeds", range(110))
+        rest = {k: v for k, v in options.items() if k != "seeds"}
         code, _, err = push(
             write_split(tmp_path / str(number), "test_small", seeds, **rest), "me/policy"
         )
@@ -427,7 +426,8 @@ def test_a_checkpoint_is_evaluated_by_its_name_and_its_results_stand_beside_it(
         main(["evaluate", "--policy", "me/policy", "--episodes", "2", "--out", str(results)]) == 0
     )
     assert push(results, "me/policy")[0] == 0
-    files, head = hub.repos[MODEL].files, json.loads((results / METRICS_FILE).read_text())
+    files = hub.repos[MODEL].files
+    head = json.loads((results / METRICS_FILE).read_text())
     assert "model.safetensors" in files
     name = f"{BENCHMARK_ID}_test_small_attach_standard_image_size_96_2_episodes"
     assert json.loads(files[f"results/{name}/{METRICS_FILE}"]) == head

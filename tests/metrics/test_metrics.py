@@ -217,10 +217,8 @@ def test_quality_is_the_papers_formula_over_the_control_phase_to_the_first_local
     seed, localized_from
 ):
     path = random_path(seed)
-    episode, trajectory = (
-        hand_made(path, localized_from=localized_from),
-        path[: (localized_from or len(path)) + 1],
-    )
+    episode = hand_made(path, localized_from=localized_from)
+    trajectory = path[: (localized_from or len(path)) + 1]
     assert METRICS["Q_smooth"](episode) == pytest.approx(smoothness(trajectory), abs=1e-9)
     assert METRICS["Q_line"](episode) == pytest.approx(linearity(trajectory), abs=1e-9)
 
@@ -259,7 +257,8 @@ def test_legacy_quality_reads_18d_commands_in_units_and_radians():
     for frame, (x_m, angle) in enumerate(
         [(0.0, 0.0), (0.1, 0.0), (0.1, 0.5), (0.100001, 0.5), (0.3, 1.0)]
     ):
-        commands[frame][0], commands[frame][3] = x_m, angle
+        commands[frame][0] = x_m
+        commands[frame][3] = angle
     episode.given_action[WINDOW:] = commands
     # steps: 1 u; 0.5 rad; 1e-5 u, which is dropped; 2 u and 0.5 rad
     lengths = [1.0, 0.5, math.hypot(2.0, 0.5)]
@@ -387,7 +386,9 @@ def test_a_quantity_has_no_bounds_unless_given_and_a_share_has_0_and_1(
 def test_a_metric_does_not_depend_on_where_the_world_has_its_origin_or_heading(name: str):
     episode = synthetic_episode(seed=3, miss_m=0.02, image_size=None)
     turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]], np.float32)
-    state, action, pose = episode.state.copy(), episode.action.copy(), episode.target_pose_h.copy()
+    state = episode.state.copy()
+    action = episode.action.copy()
+    pose = episode.target_pose_h.copy()
     for array in (state, action, pose):
         array[:, :3] = array[:, :3] @ turn.T + np.float32([0.25, -0.5, 0.5])
     velocity = np.hstack(

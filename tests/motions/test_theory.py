@@ -35,7 +35,8 @@ SEEDS = range(5)
 def test_a_throw_is_held_then_flies_a_parabola(kind: str):
     for seed in SEEDS:
         drawn = draw_motion(kind, seed)
-        motion, released = drawn.motion, round(drawn.motion.release_s / PHYSICS_DT)
+        motion = drawn.motion
+        released = round(drawn.motion.release_s / PHYSICS_DT)
         track = simulate(drawn.motion, drawn.target, motion.release_s + 0.45)
         np.testing.assert_allclose(track.pos[: released + 1] - motion.start, 0.0, atol=1e-9)
         tau = track.time[released:] - track.time[released]
@@ -68,7 +69,8 @@ def test_rolls_without_slipping_and_accelerates_as_its_moment_of_inertia_says(ki
     """
     errors = []
     for drawn in (draw_motion(kind, seed, name) for name in ROUND for seed in SEEDS):
-        motion, target = drawn.motion, drawn.target
+        motion = drawn.motion
+        target = drawn.target
         expected = rolling_acceleration(motion.slope_rad, target)
         rolled_s = np.sqrt(2 * motion.run_m / expected)
         track = simulate(drawn.motion, drawn.target, motion.release_s + 0.95 * rolled_s)
@@ -90,8 +92,10 @@ def test_runs_out_with_the_energy_of_the_ramp():
     """
     errors = []
     for drawn in (draw_motion("ramp_and_runout", seed, name) for name in ROUND for seed in SEEDS):
-        motion, target = drawn.motion, drawn.target
-        radius, acceleration = target.roll_radius_m, rolling_acceleration(motion.slope_rad, target)
+        motion = drawn.motion
+        target = drawn.target
+        radius = target.roll_radius_m
+        acceleration = rolling_acceleration(motion.slope_rad, target)
         ratio = target.inertia[2] / (target.mass_kg * radius**2)
         run_m = motion.run_m - radius * np.tan(
             motion.slope_rad / 2
@@ -119,7 +123,8 @@ def arms(drawn: Drawn, track: Track) -> np.ndarray:
 
 def swings(drawn: Drawn, track: Track) -> np.ndarray:
     """(K,) angles from the vertical in the plane of the swing, which the target must not leave."""
-    arm, yaw = arms(drawn, track), drawn.motion.yaw_rad
+    arm = arms(drawn, track)
+    yaw = drawn.motion.yaw_rad
     assert np.abs(arm @ [-np.sin(yaw), np.cos(yaw), 0.0]).max() < 1e-9
     return np.arctan2(arm @ [np.cos(yaw), np.sin(yaw), 0.0], -arm[:, 2])
 
@@ -136,7 +141,8 @@ def small_period_s(motion: SuspendedMotion, target: TargetObject) -> float:
 def test_swings_have_the_period_of_the_elliptic_integral(angle_rad: float):
     drawn = draw_motion("planar", 1)
     drawn = replace(drawn, motion=replace(drawn.motion, angle_rad=angle_rad))
-    mean, other = 1.0, float(np.cos(angle_rad / 2))
+    mean = 1.0
+    other = float(np.cos(angle_rad / 2))
     for _ in range(30):  # the arithmetic-geometric mean
         mean, other = (mean + other) / 2, np.sqrt(mean * other)
     expected = small_period_s(drawn.motion, drawn.target) / mean
@@ -165,7 +171,8 @@ def test_drag_shrinks_the_swing_exponentially():
     the center alone.
     """
     drawn = draw_motion("damped", 1)
-    motion, target = replace(drawn.motion, angle_rad=0.2), drawn.target
+    motion = replace(drawn.motion, angle_rad=0.2)
+    target = drawn.target
     track = simulate(motion, target, 5 * small_period_s(motion, target))
     swing = swings(replace(drawn, motion=motion), track)
     peaks = np.flatnonzero((swing[1:-1] > swing[:-2]) & (swing[1:-1] >= swing[2:])) + 1
@@ -184,9 +191,11 @@ def test_a_central_blow_at_the_stated_time_keeps_momentum_and_returns_the_stated
     for drawn in (draw_motion("struck", seed, name) for name in SLIDING for seed in SEEDS):
         motion = drawn.motion
         track = simulate(drawn.motion, drawn.target, motion.impact_s + 0.2)
-        along, striker = track.velocity @ motion.direction(), track.striker_speed
+        along = track.velocity @ motion.direction()
+        striker = track.striker_speed
         touched = np.flatnonzero(np.abs(np.diff(striker)) > 1e-6)
-        first, last = int(touched[0]), int(touched[-1]) + 1
+        first = int(touched[0])
+        last = int(touched[-1]) + 1
         assert -1e-9 < track.time[first] - motion.impact_s < PHYSICS_DT + 1e-9
         lift = motion.friction * along[last]
         lost = along[first] + striker[first] - along[last] - striker[last]  # both masses are equal
@@ -209,7 +218,8 @@ def test_the_wall_is_met_on_time_and_returns_the_stated_share_of_the_stated_spee
     for name, drawn in (
         (name, draw_motion("wall_rebound", seed, name)) for name in SLIDING for seed in SEEDS
     ):
-        motion, near_m = drawn.motion, 0.002
+        motion = drawn.motion
+        near_m = 0.002
         track = simulate(drawn.motion, drawn.target, motion.impact_s + 0.3)
         speed = track.velocity @ motion.direction()
         turned = int(np.flatnonzero(speed < 0)[0])

@@ -18,7 +18,9 @@ from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.pretrain.recipe import read_recipe
 
 TINY_EYE = {"channels": 8, "fovea": 12}
-BATCH, UPDATES, SAVE_EVERY = 4, 7, 3
+BATCH = 4
+UPDATES = 7
+SAVE_EVERY = 3
 
 
 def tiny_recipe(folder: Path, **changes: object) -> Path:
@@ -49,7 +51,8 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def kill_at(monkeypatch: pytest.MonkeyPatch, update: int) -> None:
     """Let the run stop in the middle of an update, counted from where it begins."""
-    loss, calls = pretraining.sighting_loss, []
+    loss = pretraining.sighting_loss
+    calls = []
 
     def killed(*args):
         calls.append(args)

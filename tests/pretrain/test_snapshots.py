@@ -67,7 +67,8 @@ def test_the_target_is_where_they_say_fingers_move_and_some_images_come_twice(
         "targets near and far, left and right, above and below"
     )
     assert (now[:, 2] + now[:, 27] > 0.049).all(), "no palm is in the floor"
-    now, before = now[:, 3:18], before[:, 3:18]
+    now = now[:, 3:18]
+    before = before[:, 3:18]
     moving = np.abs(now - before).max(axis=1) > 1e-3
     closing = (np.abs(now).sum(axis=1) > np.abs(before).sum(axis=1)) & moving
     assert 0.2 < moving.mean() < 0.4

@@ -32,7 +32,8 @@ def images(watching: WorldBatch) -> np.ndarray:
 
 def test_things_have_their_colours_where_the_labels_say_they_are(watching, images, specs):
     labels = watching.cameras.segmentation()
-    scene, compared = watching.scene, dict.fromkeys(("target", "skin", "floor", "wall"), 0)
+    scene = watching.scene
+    compared = dict.fromkeys(("target", "skin", "floor", "wall"), 0)
     geoms = {
         "target": scene.target_geoms,
         "skin": np.concatenate([scene.hand_geoms, scene.skin_geoms]),
@@ -44,10 +45,8 @@ def test_things_have_their_colours_where_the_labels_say_they_are(watching, image
             pixels = image[np.isin(seen, ids)]
             if len(pixels) >= (8 if thing == "target" else 50):  # a table may cover the floor
                 # the median, as pixels on edges hold some of what is behind
-                colour, tint = (
-                    np.median(pixels, axis=0),
-                    np.array(getattr(spec.appearance, f"{thing}_rgb")),
-                )
+                colour = np.median(pixels, axis=0)
+                tint = np.array(getattr(spec.appearance, f"{thing}_rgb"))
                 cosine = colour @ tint / np.linalg.norm(colour) / np.linalg.norm(tint)
                 assert cosine > SAME_HUE, (spec.motion.name, thing)
                 compared[thing] += 1

@@ -22,7 +22,8 @@ TYPES = {
     mujoco.mjtGeom.mjGEOM_BOX: shapes.shadow_box,
 }
 SIZE_M = np.array([0.3, 0.2, 0.4])
-SHARP_RAD, SOFT_RAD = 1e-7, 0.02
+SHARP_RAD = 1e-7
+SOFT_RAD = 0.02
 DIRECTIONS = 200
 every_shape = pytest.mark.parametrize("geom_type", TYPES, ids=lambda one: one.name)
 
@@ -97,12 +98,11 @@ def test_a_point_light_is_taken_exactly_where_a_ray_is_blocked(geom_type: mujoco
     rng = np.random.default_rng(0)
     to_light = np.repeat(directions(rng, DIRECTIONS), 100, axis=0)
     points = rng.uniform(-1.0, 1.0, to_light.shape)
-    taken, blocked = (
-        shares(geom_type, SHARP_RAD, points, to_light),
-        ray_blocked(geom_type)(points, to_light),
-    )
+    taken = shares(geom_type, SHARP_RAD, points, to_light)
+    blocked = ray_blocked(geom_type)(points, to_light)
     outside = ~(blocked & ray_blocked(geom_type)(points, -to_light))
-    taken, blocked = taken[outside], blocked[outside]
+    taken = taken[outside]
+    blocked = blocked[outside]
     assert 0.02 < blocked.mean() < 0.6
     assert ((taken > 0.5) != blocked).mean() < 2e-4
     assert ((taken > 0.01) & (taken < 0.99)).mean() < 2e-4
@@ -117,13 +117,17 @@ def test_half_shadow_lies_evenly_about_the_edge(geom_type: mujoco.mjtGeom) -> No
     to_light = directions(rng, DIRECTIONS)[6:]
     aside = np.cross(to_light, rng.normal(size=to_light.shape))
     aside /= np.linalg.norm(aside, axis=1, keepdims=True)
-    blocked, below = ray_blocked(geom_type), -1.0 * to_light
-    within, beyond = np.zeros(len(aside)), np.ones(len(aside))
+    blocked = ray_blocked(geom_type)
+    below = -1.0 * to_light
+    within = np.zeros(len(aside))
+    beyond = np.ones(len(aside))
     for _ in range(20):
         middle = (within + beyond) / 2
         hit = blocked(below + middle[:, None] * aside, to_light)
-        within, beyond = np.where(hit, middle, within), np.where(hit, beyond, middle)
-    on_edge, step = below + within[:, None] * aside, 0.5 * SOFT_RAD * aside
+        within = np.where(hit, middle, within)
+        beyond = np.where(hit, beyond, middle)
+    on_edge = below + within[:, None] * aside
+    step = 0.5 * SOFT_RAD * aside
     edge, inner, outer = (
         shares(geom_type, SOFT_RAD, on_edge + k * step, to_light) for k in (0, -1, 1)
     )

@@ -39,7 +39,8 @@ def test_without_soft_light_tiles_draw_what_mujoco_warp_draws(
         for _ in range(frames):
             batch.step(batch.executed + np.r_[np.zeros(3), np.full(15, 0.05)])
     for view in (EGO_VIEW, *EXTRA_VIEWS):
-        ours, theirs = flat.cameras.render(view=view).astype(int), warp.cameras.render(view=view)
+        ours = flat.cameras.render(view=view).astype(int)
+        theirs = warp.cameras.render(view=view)
         if view not in (EGO_VIEW, "side"):
             np.testing.assert_array_equal(
                 soft.cameras.render(view=view), ours, "soft light changes no label"
@@ -52,7 +53,8 @@ def test_depth_is_the_distance_along_the_axis(batch: WorldBatch) -> None:
     """The target's nearest pixel lies before its center, by no more than the largest object is
     wide.
     """
-    labels, depth = batch.cameras.segmentation(), batch.cameras.depth()
+    labels = batch.cameras.segmentation()
+    depth = batch.cameras.depth()
     camera = batch._batch.bind("cam_xpos")[:, batch.scene.camera]
     axis = -batch._batch.bind("cam_xmat")[:, batch.scene.camera].reshape(-1, 3, 3)[:, :, 2]
     centre = ((batch.target_pose_h[:, :3] + batch.home_pos_w - camera) * axis).sum(axis=1)

@@ -74,7 +74,8 @@ def test_csv_has_every_pair_once_with_interval_number_and_p(
     ]
     assert len(pairs) == len(wanted) == 4
     for a, b, name in wanted:
-        found, row = compare(a.results, b.results, name), pairs.loc[a.label, b.label, name]
+        found = compare(a.results, b.results, name)
+        row = pairs.loc[a.label, b.label, name]
         assert (row.value, row.low, row.high) == pytest.approx(
             (found.value, found.low, found.high), abs=1e-12
         )

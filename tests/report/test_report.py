@@ -315,10 +315,8 @@ def test_the_comparison_is_antisymmetric_and_under_equal_conditions(entries: lis
         zip(("S_loc", "S_joint", "E_loc", "commands"), comparison_tables(entries), strict=True)
     )
     for name, better in (("S_loc", 1), ("E_loc", -1)):
-        above, below = (
-            column(tables[name], "weak")["strong"],
-            column(tables[name], "strong")["weak"],
-        )
+        above = column(tables[name], "weak")["strong"]
+        below = column(tables[name], "strong")["weak"]
         assert above.key == pytest.approx(-below.key)
         assert above.key * better > 0
         assert (above.mark, below.mark) == ("better", "worse")

@@ -26,7 +26,8 @@ class Clock(Agent):
     accepts_guidance = True
 
     def __init__(self, seconds: tuple[float, float] = (0.0, 0.0), horizon: int = 5) -> None:
-        self.seconds, self.horizon = np.array(seconds), horizon
+        self.seconds = np.array(seconds)
+        self.horizon = horizon
         self.calls: list[tuple] = []
         self.reset(2)
 
@@ -134,7 +135,8 @@ def stepwise(policy: QueuedPolicy, latency_ms: float, frames: int) -> list[float
     As LeRobot's policies do, this one infers if its queue is empty, and else answers from it
     without a look.
     """
-    inference, queue = StepwiseInference(policy, Inference("async", latency_ms)), deque[float]()
+    inference = StepwiseInference(policy, Inference("async", latency_ms))
+    queue = deque[float]()
     executed = list[float]()
     for _ in range(inference.calls(frames)):
         if not queue:
@@ -152,7 +154,8 @@ def test_with_a_queue_the_timing_is_that_of_whole_chunks(latency_ms: float):
 
 def test_a_new_episode_begins_with_an_inference():
     inference = StepwiseInference(QueuedPolicy("two", 2), Inference("async", 50.0))
-    still, action = np.full((1, 18), STILL), np.zeros((1, 18))
+    still = np.full((1, 18), STILL)
+    action = np.zeros((1, 18))
     assert [inference.answer(action, still) is None for _ in range(3)] == [True, False, True]
     inference.reset()
     assert inference.answer(action, still) is None

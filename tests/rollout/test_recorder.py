@@ -37,7 +37,8 @@ def moved(hand: str, home_w: np.ndarray, palm_w: np.ndarray, joints: np.ndarray)
 def test_camera_poses_follow_from_the_palm_by_a_fixed_transform(
     hand: str, camera: str, carried: bool
 ):
-    rng, model = np.random.default_rng(3), compile_scene(hand).model
+    rng = np.random.default_rng(3)
+    model = compile_scene(hand).model
     pinhole = Pinhole.of(model, camera)
     for _ in range(5):
         home, palm = rng.uniform([-1, -1, 0.5], [1, 1, 1.5], (2, 3))
@@ -62,7 +63,8 @@ def test_a_camera_sees_places_where_its_intrinsics_say():
 def test_the_object_is_the_one_that_is_simulated(specs: list[EpisodeSpec]):
     batch = WorldBatch(Rules(), len(specs))
     batch.reset(range(len(specs)), specs)
-    fields, scene = batch._fields.fields, batch.scene
+    fields = batch._fields.fields
+    scene = batch.scene
     for i, spec in enumerate(specs):
         kept = episode_constants(batch, spec, None)
         assert kept["object_mass_kg"] == fields["body_mass"][i, scene.target_body]
@@ -105,7 +107,8 @@ def test_the_target_path_is_where_the_target_is_until_it_is_touched(
     expert_episodes, contact_episodes
 ):
     for episode in [*expert_episodes[:22], *contact_episodes]:
-        meta, path = episode.meta, episode.target_path_h
+        meta = episode.meta
+        path = episode.target_path_h
         assert len(path) == meta.window_frames + meta.length_frames + 1 >= len(episode)
         near = episode.localized if meta.capture == "attach" else episode.palm_distance_m < 0.2
         untouched = max(int(np.append(near, True).argmax()), 1)

@@ -75,7 +75,8 @@ class Wanderer(Agent):
     """A policy that has nothing to do with the target, with or without eyes."""
 
     def __init__(self, *, sees_images: bool) -> None:
-        self.sees_images, self._rng = sees_images, np.random.default_rng(0)
+        self.sees_images = sees_images
+        self._rng = np.random.default_rng(0)
 
     def act(self, observation: Observation) -> np.ndarray:
         state = observation.state.astype(np.float64)

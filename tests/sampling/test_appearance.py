@@ -81,7 +81,8 @@ def test_translucent_targets_are_blended_with_what_is_behind(few: list[EpisodeSp
         ]
         return images(varied, "flat")
 
-    solid, behind = seen(1.0), seen(0.0)
+    solid = seen(1.0)
+    behind = seen(0.0)
     assert np.abs(seen(0.4) - (0.4 * solid + 0.6 * behind)).max() < 3
 
 
@@ -102,9 +103,11 @@ def test_every_seed_has_its_own_furniture(specs: list[EpisodeSpec]) -> None:
 
 def test_furniture_stands_in_the_room_and_clear_of_the_path(specs: list[EpisodeSpec]) -> None:
     for spec in specs[:44]:
-        low, high = spec.target_path_w.min(axis=0) - 0.3, spec.target_path_w.max(axis=0) + 0.3
+        low = spec.target_path_w.min(axis=0) - 0.3
+        high = spec.target_path_w.max(axis=0) + 0.3
         for solid in spec.appearance.furniture:
-            pos, half = np.asarray(solid.pos_w), np.asarray(solid.half_size)
+            pos = np.asarray(solid.pos_w)
+            half = np.asarray(solid.half_size)
             assert (np.abs(pos[:2]) + half[:2] <= ARENA_HALF_M + 1e-6).all()
             assert (pos - half > high).any() or (pos + half < low).any(), spec.motion.name
 

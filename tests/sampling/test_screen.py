@@ -39,7 +39,8 @@ def test_no_pixel_of_the_target_shows_for_6_to_12_frames_before_it_can_be_met(
         meeting = earliest_meeting(spec)
         gone = shown[:meeting, i] == 0
         by_screen = gone & (bare[:meeting, i] > 0)
-        lengths, last = run_lengths(gone), int(np.flatnonzero(gone)[-1])
+        lengths = run_lengths(gone)
+        last = int(np.flatnonzero(gone)[-1])
         assert lengths[-1] >= 6, (spec.motion.name, lengths)
         assert max(run_lengths(by_screen)) <= 12, (spec.motion.name, spec.seed)
         assert last >= meeting - 4, (spec.motion.name, last, meeting)
@@ -48,7 +49,8 @@ def test_no_pixel_of_the_target_shows_for_6_to_12_frames_before_it_can_be_met(
 
 def target_pixels(specs: list[EpisodeSpec], actor: str) -> np.ndarray:
     """(F, N) pixels of each target in the view of the hand, until the last one can be met."""
-    batch, expert = world(specs, image_size=96), EXPERTS[actor]()
+    batch = world(specs, image_size=96)
+    expert = EXPERTS[actor]()
     counts = []
     for _ in range(max(map(earliest_meeting, specs))):
         counts.append(
@@ -80,7 +82,8 @@ def test_episodes_are_those_of_observe_before_act_or_else_no_screen_can_stand_in
 
 def test_the_screen_is_clear_of_palm_target_fixtures_and_floor(occluded: list[EpisodeSpec]):
     for spec in occluded:
-        screen, share = spec.appearance.screen, np.linspace(0.0, 1.0, 50)[:, None]
+        screen = spec.appearance.screen
+        share = np.linspace(0.0, 1.0, 50)[:, None]
         panel = Box(screen.pos_w, (screen.half_size[0], screen.half_size[1], screen.half_size[2]))
         way = spec.home_pos_w + share * (spec.intercept_pos_w - spec.home_pos_w)
         assert box_distance(way, panel).min() > 0.025, spec.motion.name

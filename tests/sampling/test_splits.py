@@ -67,7 +67,8 @@ def test_only_its_own_split_contains_what_is_held_out(split: str):
         )
 
 
-SALT, OTHER = "correct horse battery staple", "correct horse battery stable"
+SALT = "correct horse battery staple"
+OTHER = "correct horse battery stable"
 
 
 @pytest.fixture(scope="module")

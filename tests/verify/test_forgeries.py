@@ -160,7 +160,8 @@ def container(
     """
 
     def apply(root: Path) -> None:
-        path, made = root / VIDEO, root / "again.mp4"
+        path = root / VIDEO
+        made = root / "again.mp4"
         with av.open(str(path)) as source, av.open(str(made), "w") as target:
             streams = [
                 target.add_stream_from_template(source.streams.video[0]) for _ in range(1 + further)

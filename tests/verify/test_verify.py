@@ -267,7 +267,8 @@ def test_an_expert_that_fails_where_it_succeeded_is_found(sound, monkeypatch):
 
 
 def test_what_is_replayed_is_drawn_evenly_from_all_kinds_of_motion(dataset):
-    store, rng = Store(dataset), np.random.default_rng(0)
+    store = Store(dataset)
+    rng = np.random.default_rng(0)
     assert len({tuple(drawn_evenly(store, 3, rng)) for _ in range(20)}) > 5, (
         "nobody knows beforehand which"
     )

@@ -15,7 +15,9 @@ class Exchange:
     """One request: its body, and ways to answer it."""
 
     def __init__(self, http: BaseHTTPRequestHandler, body: dict[str, Any], number: int) -> None:
-        self.http, self.body, self.number = http, body, number
+        self.http = http
+        self.body = body
+        self.number = number
         self.key = http.headers.get("Authorization", "")
 
     def say(self, content: Any) -> None:

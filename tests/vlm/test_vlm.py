@@ -111,7 +111,8 @@ def test_worlds_are_decided_side_by_side():
         exchange.say(answer())
 
     with serving(handler) as (url, _):
-        client, start = VlmClient("tiny", url), time.monotonic()
+        client = VlmClient("tiny", url)
+        start = time.monotonic()
         assert all(
             commands is not None and took >= 0.5 for commands, took in client.plan([SEEN] * 4)
         )
@@ -139,7 +140,8 @@ def test_a_busy_server_is_asked_again_after_the_pause_it_asks_for():
         )
 
     with serving(handler) as (url, _):
-        client, start = VlmClient("tiny", url), time.monotonic()
+        client = VlmClient("tiny", url)
+        start = time.monotonic()
         assert client.plan([SEEN])[0][0] is not None
         assert time.monotonic() - start >= 1.0
 
@@ -168,10 +170,8 @@ def test_whatever_a_server_does_costs_one_decision(name: str, tmp_path: Path):
     handler, problem = FAILURES[name]
     timeout_s = 0.5 if problem == "TimeoutError" else 20.0
     with serving(handler) as (url, _):
-        client, start = (
-            VlmClient("tiny", url, timeout_s=timeout_s, log=tmp_path / "log.jsonl"),
-            time.monotonic(),
-        )
+        client = VlmClient("tiny", url, timeout_s=timeout_s, log=tmp_path / "log.jsonl")
+        start = time.monotonic()
         assert client.plan([SEEN])[0][0] is None
         assert time.monotonic() - start < timeout_s + 1.0
     report = client.report()
@@ -204,7 +204,9 @@ class Remembered:
     """A client that counts, and moves up by a centimeter a frame, or fails."""
 
     def __init__(self, fails: bool = False, took_s: float = 0.0) -> None:
-        self.asked, self.fails, self.took_s = [], fails, took_s
+        self.asked = []
+        self.fails = fails
+        self.took_s = took_s
 
     def plan(
         self, worlds: list[tuple[str, np.ndarray, np.ndarray]]
@@ -265,7 +267,8 @@ def test_evaluating_a_model_from_the_command_line(tmp_path: Path, capsys: pytest
         assert evaluated(url, "--episodes", "2", "--out", str(tmp_path)) == 0
     results = read_results(tmp_path)
     assert {results.info.policy, *(row["agent"] for row in results.rows)} == {"vlm:tiny:extended"}
-    account, n = results.info.extra["vlm"], len(seen)
+    account = results.info.extra["vlm"]
+    n = len(seen)
     assert (account["model"], account["prompt"], account["problems"]) == (
         "tiny",
         "extended",

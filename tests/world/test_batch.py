@@ -65,7 +65,8 @@ def test_pixels_depend_on_no_batch_size_and_no_neighbour(
 def test_resetting_one_world_leaves_the_others_untouched(every_kind: list[EpisodeSpec]):
     batch = world(every_kind[:6])
     wait(batch)
-    before, images = batch._batch.state.copy(), batch.cameras.render()
+    before = batch._batch.state.copy()
+    images = batch.cameras.render()
     batch.reset([2], [every_kind[9]])
     others = [0, 1, 3, 4, 5]
     np.testing.assert_array_equal(batch._batch.state[others], before[others])
@@ -83,10 +84,8 @@ def test_what_struck_a_target_is_not_in_the_way_of_the_next_one(specs: list[Epis
         (s, found) for s in specs if (found := s.motion.launch(s.target).striker)
     )
     above = tuple(np.add(striker.pos, (0.0, 0.0, 0.2)))
-    fresh, used = (
-        world([falling := replace(struck, motion=Lob(above, (0.0, 0.0, 0.0), release_s=0.0))]),
-        world([struck]),
-    )
+    fresh = world([falling := replace(struck, motion=Lob(above, (0.0, 0.0, 0.0), release_s=0.0))])
+    used = world([struck])
     used.reset([0], [falling])
     for _ in range(12):
         fresh.step(fresh.executed)
@@ -146,7 +145,8 @@ def shifted(spec: EpisodeSpec) -> EpisodeSpec:
 
 def test_an_episode_elsewhere_looks_the_same_in_numbers(specs: list[EpisodeSpec]):
     here = next(spec for spec in specs if spec.motion.name == "constant")
-    one, other = world([here]), world([shifted(here)])
+    one = world([here])
+    other = world([shifted(here)])
     rng = np.random.default_rng(3)
     while not one.localized[0] and one.frame[0] < here.window_frames + 12:
         command = np.concatenate(
@@ -188,10 +188,8 @@ def test_stored_actions_replay_to_the_bit(control_class: str, specs: list[Episod
         for name in ("state", "action", "executed_action", "fingertips", "target_pose_h"):
             np.testing.assert_array_equal(getattr(again, name), getattr(first, name), err_msg=name)
         latency = {"standard": 0, "late": 3}[control_class]
-        given, executed = (
-            first.given_action[: len(first) - latency],
-            first.executed_action[latency:],
-        )
+        given = first.given_action[: len(first) - latency]
+        executed = first.executed_action[latency:]
         np.testing.assert_allclose(
             executed, given, atol=1e-6
         )  # which the speed limits have cut already
@@ -284,7 +282,8 @@ def waiting(specs: list[EpisodeSpec], **options) -> WorldBatch:
 def test_palm_and_joints_keep_to_the_speed_limits_and_the_palm_to_its_direction(
     control_class: str, specs
 ):
-    hands, control = waiting(specs, control_class=control_class), CONTROL_CLASSES[control_class]
+    hands = waiting(specs, control_class=control_class)
+    control = CONTROL_CLASSES[control_class]
     direction = np.array([3.0, -2.0, 6.0]) / 7
     late = control.latency_frames > 0
     assert hands.acting.all() != late, "the window goes on until the first command takes effect"
@@ -319,7 +318,8 @@ def test_commands_beyond_the_range_end_at_its_limit_in_an_action_space_that_does
     hands: WorldBatch,
 ):
     env = DynahoiVectorEnv(4, split="test", image_size=0)
-    low, high = env.single_action_space.low, env.single_action_space.high
+    low = env.single_action_space.low
+    high = env.single_action_space.high
     np.testing.assert_array_equal(low[:PALM_DOF], -high[:PALM_DOF])
     for seed in (0, 4):
         env.reset(seed=seed)
@@ -365,7 +365,8 @@ def test_a_bad_command_moves_nothing(specs: list[EpisodeSpec], in_window: bool):
 def test_in_the_window_which_the_phase_tells_commands_are_ignored_and_the_hand_holds_still(
     specs: list[EpisodeSpec],
 ):
-    batch, rng = world(specs[:8]), np.random.default_rng(0)
+    batch = world(specs[:8])
+    rng = np.random.default_rng(0)
     for frame in range(12):
         in_window = np.array([frame < spec.window_frames for spec in specs[:8]])
         np.testing.assert_array_equal(

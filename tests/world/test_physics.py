@@ -29,9 +29,11 @@ def test_a_driven_target_is_on_its_closed_form_at_every_physics_step(kind: str):
 @pytest.mark.parametrize("kind", PRESCRIBED)
 def test_letting_go_is_continuous_in_position_and_velocity(kind: str):
     """From the step at which the force stops, gravity alone changes the velocity: no impulse."""
-    drawn, released = draw_motion(kind, 3), 10 * SUBSTEPS
+    drawn = draw_motion(kind, 3)
+    released = 10 * SUBSTEPS
     track = simulate(drawn.motion, drawn.target, 0.6, driven_frames=10)
-    position, velocity = track.pos[released:], track.velocity[released:]
+    position = track.pos[released:]
+    velocity = track.velocity[released:]
     change = np.diff(velocity, axis=0)
     np.testing.assert_allclose(change, np.tile(GRAVITY_W * PHYSICS_DT, (len(change), 1)), atol=1e-9)
     np.testing.assert_allclose(np.diff(position, axis=0), velocity[1:] * PHYSICS_DT, atol=1e-12)
@@ -63,7 +65,8 @@ def test_the_angular_velocity_is_given_in_the_world_frame(specs: list[EpisodeSpe
     _, normal = spec.motion.slope_axes()
     while batch.frame[0] < spec.intercept_frame - 1:
         batch.step(batch.executed)
-    linear, angular = batch.target_velocity_w[0, :3], batch.target_velocity_w[0, 3:]
+    linear = batch.target_velocity_w[0, :3]
+    angular = batch.target_velocity_w[0, 3:]
     assert np.linalg.norm(linear) > 0.1
     expected = np.cross(normal, linear) / spec.target.roll_radius_m
     np.testing.assert_allclose(angular, expected, atol=0.05 * np.linalg.norm(expected))

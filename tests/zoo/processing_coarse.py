@@ -23,7 +23,9 @@ class CoarseProcessor(ProcessorMixin):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__()
-        self.scale, self.min_token, self.bpe_tokenizer = 4, -LEVELS // 2, _Characters()
+        self.scale = 4
+        self.min_token = -LEVELS // 2
+        self.bpe_tokenizer = _Characters()
 
     def __call__(self, actions: Any) -> list[list[int]]:
         coefficients = dct(np.asarray(actions), axis=1, norm="ortho")  # (B, H, A)

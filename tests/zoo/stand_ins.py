@@ -49,7 +49,8 @@ def save_clip(folder: Path) -> None:
     CLIPModel(
         CLIPConfig(text_config=text, vision_config=vision, projection_dim=16)
     ).save_pretrained(folder)
-    start, end = "<|startoftext|>", "<|endoftext|>"
+    start = "<|startoftext|>"
+    end = "<|endoftext|>"
     _tokenizer(
         [start, end, "<unk>", *WORDS], bos_token=start, eos_token=end, pad_token=end
     ).save_pretrained(folder)

@@ -34,7 +34,8 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def small_act(folder: Path, size: int) -> str:
-    ours, state = PolicyFeature(FeatureType.ENV, (size,)), PolicyFeature(FeatureType.STATE, (18,))
+    ours = PolicyFeature(FeatureType.ENV, (size,))
+    state = PolicyFeature(FeatureType.STATE, (18,))
     return str(tiny_act(folder, {KEY: ours, "observation.state": state}))
 
 
@@ -161,10 +162,8 @@ def test_an_environment_shows_where_the_eye_sees_it() -> None:
 def test_what_is_seen_in_a_world_depends_on_no_other_and_not_on_what_is_shown() -> None:
     recipe = Recipe.of(split="val", image_size=96, environment_state="eye")
     specs = sample_specs(recipe, range(3))
-    alone, together = (
-        WorldBatch(replace(recipe.rules, image_size=0), 1),
-        WorldBatch(recipe.rules, 2),
-    )
+    alone = WorldBatch(replace(recipe.rules, image_size=0), 1)
+    together = WorldBatch(recipe.rules, 2)
     together.reset([0, 1], specs[:2])
     together.observe()
     together.step(together.given)

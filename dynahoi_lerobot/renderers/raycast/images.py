@@ -83,10 +83,17 @@ def _surface_row(
     ys: Row,
 ) -> tuple[Row, Row, Row]:
     """Red, green and blue, 0 to 1, of the surfaces at the points of a row."""
-    red, green, blue = Row(0.0), Row(0.0), Row(0.0)
-    diffuse, specular = worlds.diffuse[w, 0], worlds.specular[w, 0]
-    ambient, sky, sky_wrap, sun_wrap = look.ambient, look.fill, look.fill_wrap, look.sun_wrap
-    sun, openness = Row(1.0), Row(1.0)
+    red = Row(0.0)
+    green = Row(0.0)
+    blue = Row(0.0)
+    diffuse = worlds.diffuse[w, 0]
+    specular = worlds.specular[w, 0]
+    ambient = look.ambient
+    sky = look.fill
+    sky_wrap = look.fill_wrap
+    sun_wrap = look.sun_wrap
+    sun = Row(1.0)
+    openness = Row(1.0)
     if look.soft == 1:
         sun = sunlight_row(worlds, w, tile, depths, visible, xs, ys)
         openness = _openness_row(worlds, look, w, depths, visible, xs, ys)
@@ -99,7 +106,8 @@ def _surface_row(
             cosine, filled, highlight, brightness = surface_row(
                 worlds, look, textures, w, s, middle, depths, xs, ys
             )
-            rgb, shine = worlds.shapes[w, s].color_rgb, specular * worlds.shapes[w, s].specularity
+            rgb = worlds.shapes[w, s].color_rgb
+            shine = specular * worlds.shapes[w, s].specularity
             for i in range(TILE):
                 direct = wp.max(cosine[i] + sun_wrap, 0.0) / (1.0 + sun_wrap) * sun[i]
                 around = wp.max(filled[i] + sky_wrap, 0.0)
@@ -119,7 +127,9 @@ def _openness_row(
     near walls.
     """
     row = Row()
-    floor, half, number = worlds.shapes[w, look.floor], look.room_half_m, look.floor
+    floor = worlds.shapes[w, look.floor]
+    half = look.room_half_m
+    number = look.floor
     for i in range(TILE):
         point = floor.camera + depths[i] * ray_of(floor.from_camera, xs[i], ys[i])
         from_walls = half - wp.max(wp.abs(point[0]), wp.abs(point[1]))
@@ -136,7 +146,8 @@ def trace(first_row: int, intrinsics: CameraIntrinsics, worlds: Worlds):
     ``first_row``.
     """
     row, column = wp.tid()
-    w, y = (first_row + row) // intrinsics.size, (first_row + row) % intrinsics.size
+    w = (first_row + row) // intrinsics.size
+    y = (first_row + row) % intrinsics.size
     tile = _tile_of(intrinsics, y, column)
     distance, shape = trace_row(
         worlds, w, tile, _xs_of(intrinsics, column), _ys_of(intrinsics, y), 0.0
@@ -153,13 +164,13 @@ def render_color(
     after it.
     """
     row, column = wp.tid()
-    w, y = (first_row + row) // intrinsics.size, (first_row + row) % intrinsics.size
-    tile, xs, ys = (
-        _tile_of(intrinsics, y, column),
-        _xs_of(intrinsics, column),
-        _ys_of(intrinsics, y),
-    )
-    depths, visible = worlds.depths[w, y, column], worlds.visible[w, y, column]
+    w = (first_row + row) // intrinsics.size
+    y = (first_row + row) % intrinsics.size
+    tile = _tile_of(intrinsics, y, column)
+    xs = _xs_of(intrinsics, column)
+    ys = _ys_of(intrinsics, y)
+    depths = worlds.depths[w, y, column]
+    visible = worlds.visible[w, y, column]
     red, green, blue = color_row(worlds, look, textures, w, tile, depths, visible, xs, ys)
     packed = Indices()
     for i in range(TILE):
@@ -219,24 +230,23 @@ def smooth_edges(first_row: int, intrinsics: CameraIntrinsics, worlds: Worlds):
     ``render_color``.
     """
     row, column = wp.tid()
-    w, y = (first_row + row) // intrinsics.size, (first_row + row) % intrinsics.size
-    y_above, y_below = wp.max(y - 1, 0), wp.min(y + 1, intrinsics.size - 1)
-    before, behind = wp.max(column - 1, 0), wp.min(column + 1, intrinsics.tiles_across - 1)
+    w = (first_row + row) // intrinsics.size
+    y = (first_row + row) % intrinsics.size
+    y_above = wp.max(y - 1, 0)
+    y_below = wp.min(y + 1, intrinsics.size - 1)
+    before = wp.max(column - 1, 0)
+    behind = wp.min(column + 1, intrinsics.tiles_across - 1)
     here = worlds.visible[w, y, column] + Indices(
         0
     )  # a sum is a copy; what is read of an array is read at every use
-    above, below = (
-        worlds.visible[w, y_above, column] + Indices(0),
-        worlds.visible[w, y_below, column] + Indices(0),
-    )
+    above = worlds.visible[w, y_above, column] + Indices(0)
+    below = worlds.visible[w, y_below, column] + Indices(0)
     left = worlds.visible[w, y, before][wp.where(column > 0, TILE - 1, 0)]
     right = worlds.visible[w, y, behind][wp.where(behind > column, 0, TILE - 1)]
     if _all_alike(here, above, below, left, right) == 0:
         depths = worlds.depths[w, y, column]
-        depth_left, depth_right = (
-            worlds.depths[w, y, before][TILE - 1],
-            worlds.depths[w, y, behind][0],
-        )
+        depth_left = worlds.depths[w, y, before][TILE - 1]
+        depth_right = worlds.depths[w, y, behind][0]
         near = _sides_row(here, depths, left, depth_left, right, depth_right)
         near = _jumps_row(near, here, depths, above, worlds.depths[w, y_above, column])
         edges = _jumps_row(near, here, depths, below, worlds.depths[w, y_below, column])
@@ -248,7 +258,8 @@ def smooth_edges(first_row: int, intrinsics: CameraIntrinsics, worlds: Worlds):
 @wp.func
 def _all_alike(here: Indices, above: Indices, below: Indices, left: int, right: int) -> int:
     """1 if all pixels of a row and all beside it show one shape."""
-    shape, different = here[0], Indices()
+    shape = here[0]
+    different = Indices()
     for i in range(TILE):
         different[i] = (here[i] ^ shape) | (above[i] ^ shape) | (below[i] ^ shape)
     others = (left ^ shape) | (right ^ shape)
@@ -277,7 +288,8 @@ def _sides_row(
     """
     row = Indices()
     for i in range(TILE):
-        before, behind = wp.max(i - 1, 0), wp.min(i + 1, TILE - 1)
+        before = wp.max(i - 1, 0)
+        behind = wp.min(i + 1, TILE - 1)
         row[i] = wp.max(
             _jump(here[i], depth[i], here[before], depth[before]),
             _jump(here[i], depth[i], here[behind], depth[behind]),
@@ -320,13 +332,13 @@ def _smooth_row(
     column: int,
 ) -> Indices:
     """Colors of a row, in which pixels on edges are the mean of four samples."""
-    sharp, smooth = (
-        worlds.colors[w, y, column] + Indices(0),
-        worlds.colors[w, y, column] + Indices(0),
-    )
+    sharp = worlds.colors[w, y, column] + Indices(0)
+    smooth = worlds.colors[w, y, column] + Indices(0)
     color_above = worlds.colors[w, wp.max(y - 1, 0), column] + Indices(0)
     color_below = worlds.colors[w, wp.min(y + 1, intrinsics.size - 1), column] + Indices(0)
-    members, xs, ys = Members(), Row(), Row()
+    members = Members()
+    xs = Row()
+    ys = Row()
     found = int(0)  # noqa: RUF046, UP018 - warp's way to say that it varies
     for i in range(TILE):
         if edges[i] == 1:
@@ -346,10 +358,12 @@ def _smooth_row(
             )
             for j in range(found):
                 at = members[j]
-                left, right = wp.max(at - 1, 0), wp.min(at + 1, TILE - 1)
+                left = wp.max(at - 1, 0)
+                right = wp.min(at + 1, TILE - 1)
                 even, odd = int(0x20002), int(2)  # noqa: RUF046, UP018 - they vary; two rounds to the nearest
                 for k in range(SAMPLES):
-                    shape, color = seen[SAMPLES * j + k], sharp[at]
+                    shape = seen[SAMPLES * j + k]
+                    color = sharp[at]
                     color = wp.where(shape == here[left], sharp[left], color)
                     color = wp.where(shape == here[right], sharp[right], color)
                     color = wp.where(shape == below[at], color_below[at], color)
@@ -374,7 +388,8 @@ def _trace_seen(
     ys: Row,
 ) -> Indices:
     """Return the nearest shape along each ray, among the shapes of the row and its neighbors."""
-    depths, nearest = Row(FAR), Indices(-1)
+    depths = Row(FAR)
+    nearest = Indices(-1)
     for k in range(worlds.counts[w, tile]):
         s = worlds.lists[w, tile, k]
         seen = int(0)  # noqa: RUF046, UP018 - warp's way to say that it varies

@@ -64,7 +64,9 @@ def _entering(enter: wp.Function) -> wp.Function:
 
     @wp.func
     def entered(shapes: wp.array2d[Shape], w: int, s: int, xs: Row, ys: Row) -> Row:
-        size, o, from_camera = shapes[w, s].size, shapes[w, s].camera, shapes[w, s].from_camera
+        size = shapes[w, s].size
+        o = shapes[w, s].camera
+        from_camera = shapes[w, s].from_camera
         row = Row()
         for i in range(TILE):
             row[i] = enter(size, o, ray_of(from_camera, xs[i], ys[i]))
@@ -88,9 +90,14 @@ def _surface(normal: wp.Function, uv: wp.Function) -> wp.Function:
         xs: Row,
         ys: Row,
     ) -> tuple[Row, Row, Row, Row]:
-        diffuse, filled, highlight, brightness = Row(), Row(), Row(0.0), Row(1.0)
+        diffuse = Row()
+        filled = Row()
+        highlight = Row(0.0)
+        brightness = Row(1.0)
         shapes = worlds.shapes
-        size, o, from_camera = shapes[w, s].size, shapes[w, s].camera, shapes[w, s].from_camera
+        size = shapes[w, s].size
+        o = shapes[w, s].camera
+        from_camera = shapes[w, s].from_camera
         light = shapes[w, s].to_light
         fill = wp.where(look.soft == 1, shapes[w, s].up, from_camera * wp.vec3(0.0, 0.0, 1.0))
         for i in range(TILE):
@@ -112,10 +119,12 @@ def _surface(normal: wp.Function, uv: wp.Function) -> wp.Function:
                 textures, shapes[w, s].repeats_per_m * depths[middle] * look.pixel_rad, facing
             )
             start = shapes[w, s].texture * textures.texels_each + textures.starts[level]
-            side, repeat = textures.sides[level], shapes[w, s].repeat
+            side = textures.sides[level]
+            repeat = shapes[w, s].repeat
             for i in range(TILE):
                 at = wp.cw_mul(uv(size, o + depths[i] * ray_of(from_camera, xs[i], ys[i])), repeat)
-                u, v = at[0] - wp.floor(at[0]), at[1] - wp.floor(at[1])
+                u = at[0] - wp.floor(at[0])
+                v = at[1] - wp.floor(at[1])
                 brightness[i] = texel(textures.texels, start, side, textures.filtered, u, v)
         return diffuse, filled, highlight, brightness
 
@@ -127,7 +136,9 @@ def _shading(shadow: wp.Function) -> wp.Function:
 
     @wp.func
     def shaded(shapes: wp.array2d[Shape], w: int, s: int, depths: Row, xs: Row, ys: Row) -> Row:
-        size, o, from_camera = shapes[w, s].size, shapes[w, s].camera, shapes[w, s].from_camera
+        size = shapes[w, s].size
+        o = shapes[w, s].camera
+        from_camera = shapes[w, s].from_camera
         light = shapes[w, s].to_light
         row = Row()
         for i in range(TILE):
@@ -242,7 +253,8 @@ def meet_shape(
 ) -> tuple[Row, Indices]:
     """Return depths and indices, replaced by shape ``s`` where it is nearer."""
     row = _enter_row(shapes, w, s, xs, ys)
-    nearest, seen = Row(), Indices()
+    nearest = Row()
+    seen = Indices()
     for i in range(TILE):
         limit = depths[i] + TIE * wp.max(depths[i], 1.0)
         ahead = wp.where(row[i] > 0.0, row[i], MISSED)
@@ -297,14 +309,17 @@ def _row_bounds(
     """Lower and upper corner [m], light frame, of a box around the points of a row, whose rays lie
     in a plane.
     """
-    least, most = Indices(), Indices()
+    least = Indices()
+    most = Indices()
     for i in range(TILE):
         least[i] = wp.cast(
             depths[i], wp.int32
         )  # bits of floats that are not negative are in the order of the floats
         most[i] = wp.where(visible[i] >= 0, least[i], 0)
-    near, far = wp.cast(wp.min(least), wp.float32), wp.cast(wp.max(most), wp.float32)
-    first, last = ray_of(from_camera, xs[0], ys[0]), ray_of(from_camera, xs[TILE - 1], ys[TILE - 1])
+    near = wp.cast(wp.min(least), wp.float32)
+    far = wp.cast(wp.max(most), wp.float32)
+    first = ray_of(from_camera, xs[0], ys[0])
+    last = ray_of(from_camera, xs[TILE - 1], ys[TILE - 1])
     low = wp.min(wp.min(near * first, far * first), wp.min(near * last, far * last))
     high = wp.max(wp.max(near * first, far * first), wp.max(near * last, far * last))
     return camera + low, camera + high

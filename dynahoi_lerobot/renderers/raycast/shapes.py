@@ -58,11 +58,9 @@ def enter_capsule(size: wp.vec3, o: wp.vec3, d: wp.vec3) -> float:
     """Return t where a ray enters a capsule: where it meets the infinite cylinder beyond an end,
     only that end's sphere can be entered.
     """
-    a, b, c = (
-        d[0] * d[0] + d[1] * d[1],
-        o[0] * d[0] + o[1] * d[1],
-        o[0] * o[0] + o[1] * o[1] - size[0] * size[0],
-    )
+    a = d[0] * d[0] + d[1] * d[1]
+    b = o[0] * d[0] + o[1] * d[1]
+    c = o[0] * o[0] + o[1] * o[1] - size[0] * size[0]
     inside = b * b - a * c
     t = (-b - wp.sqrt(wp.max(inside, 0.0))) / wp.max(a, TINY)
     z = o[2] + t * d[2]
@@ -74,7 +72,8 @@ def enter_capsule(size: wp.vec3, o: wp.vec3, d: wp.vec3) -> float:
 @wp.func
 def enter_cylinder(size: wp.vec3, o: wp.vec3, d: wp.vec3) -> float:
     """Return t where a ray enters a cylinder: inside the infinite cylinder and between its caps."""
-    a, b = wp.max(d[0] * d[0] + d[1] * d[1], TINY), o[0] * d[0] + o[1] * d[1]
+    a = wp.max(d[0] * d[0] + d[1] * d[1], TINY)
+    b = o[0] * d[0] + o[1] * d[1]
     inside = b * b - a * (o[0] * o[0] + o[1] * o[1] - size[0] * size[0])
     root = wp.sqrt(wp.max(inside, 0.0))
     t = wp.max((-b - root) / a, slab_exit(o[2], d[2], -size[1]))
@@ -85,17 +84,13 @@ def enter_cylinder(size: wp.vec3, o: wp.vec3, d: wp.vec3) -> float:
 @wp.func
 def enter_box(size: wp.vec3, o: wp.vec3, d: wp.vec3) -> float:
     """Return t where a ray enters a box: inside all three slabs."""
-    x, y, z = (
-        slab_exit(o[0], d[0], -size[0]),
-        slab_exit(o[1], d[1], -size[1]),
-        slab_exit(o[2], d[2], -size[2]),
-    )
+    x = slab_exit(o[0], d[0], -size[0])
+    y = slab_exit(o[1], d[1], -size[1])
+    z = slab_exit(o[2], d[2], -size[2])
     t = wp.max(x, wp.max(y, z))
-    x, y, z = (
-        slab_exit(o[0], d[0], size[0]),
-        slab_exit(o[1], d[1], size[1]),
-        slab_exit(o[2], d[2], size[2]),
-    )
+    x = slab_exit(o[0], d[0], size[0])
+    y = slab_exit(o[1], d[1], size[1])
+    z = slab_exit(o[2], d[2], size[2])
     return wp.where(t > wp.min(x, wp.min(y, z)), MISS, t)
 
 
@@ -167,7 +162,9 @@ def normal_box(size: wp.vec3, p: wp.vec3) -> wp.vec3:
 @wp.func
 def _face(size: wp.vec3, p: wp.vec3) -> int:
     """The axis normal to the box's face on which p lies."""
-    x, y, z = wp.abs(p[0]) - size[0], wp.abs(p[1]) - size[1], wp.abs(p[2]) - size[2]
+    x = wp.abs(p[0]) - size[0]
+    y = wp.abs(p[1]) - size[1]
+    z = wp.abs(p[2]) - size[2]
     return wp.where(z >= x and z >= y, 2, wp.where(x >= y, 0, 1))
 
 
@@ -185,7 +182,9 @@ def uv_plane(size: wp.vec3, p: wp.vec3) -> wp.vec2:
 @wp.func
 def uv_box(size: wp.vec3, p: wp.vec3) -> wp.vec2:
     """Return the texture coordinates of a point of a box, 0 to 1 on each face."""
-    x, y, z = 0.5 * p[0] / size[0], 0.5 * p[1] / size[1], 0.5 * p[2] / size[2]
+    x = 0.5 * p[0] / size[0]
+    y = 0.5 * p[1] / size[1]
+    z = 0.5 * p[2] / size[2]
     face = _face(size, p)
     along_u = wp.where(face == 2, x, wp.where(face == 0, wp.sign(p[0]) * y, -wp.sign(p[1]) * x))
     return wp.vec2(0.5 + along_u, 0.5 - wp.where(face == 2, wp.sign(p[2]) * y, z))
@@ -248,7 +247,8 @@ def shadow_sphere(size: wp.vec3, spread: float, o: wp.vec3, d: wp.vec3) -> float
 @wp.func
 def shadow_ellipsoid(size: wp.vec3, spread: float, o: wp.vec3, d: wp.vec3) -> float:
     """Return the share that an ellipsoid takes: in the space in which it is a sphere."""
-    point, way = wp.cw_div(o, size), wp.cw_div(d, size)
+    point = wp.cw_div(o, size)
+    way = wp.cw_div(d, size)
     along = wp.max(-wp.dot(point, way) / wp.dot(way, way), 0.0)
     return _covered(
         1.0, wp.length(point + along * way), 3.0 * spread * along / (size[0] + size[1] + size[2])
@@ -270,12 +270,16 @@ def shadow_cylinder(size: wp.vec3, spread: float, o: wp.vec3, d: wp.vec3) -> flo
     """Return the share that a cylinder takes: its outline is a rectangle with an ellipse at either
     end.
     """
-    a, b = wp.max(d[0] * d[0] + d[1] * d[1], THIN), o[0] * d[0] + o[1] * d[1]
+    a = wp.max(d[0] * d[0] + d[1] * d[1], THIN)
+    b = o[0] * d[0] + o[1] * d[1]
     inside = wp.max(b * b - a * (o[0] * o[0] + o[1] * o[1] - size[0] * size[0]), 0.0)
     end = wp.min((wp.sqrt(inside) - b) / a, slab_exit(o[2], d[2], size[1]))
-    aslant, radius, flat = wp.sqrt(a), size[0], wp.max(size[0] * wp.abs(d[2]), FLAT)
+    aslant = wp.sqrt(a)
+    radius = size[0]
+    flat = wp.max(size[0] * wp.abs(d[2]), FLAT)
     across = wp.where(a > THIN, wp.vec3(d[1] / aslant, -d[0] / aslant, 0.0), wp.vec3(1.0, 0.0, 0.0))
-    x, y = wp.abs(wp.dot(o, across)), wp.abs(wp.dot(o, wp.cross(across, d)))
+    x = wp.abs(wp.dot(o, across))
+    y = wp.abs(wp.dot(o, wp.cross(across, d)))
     beyond = wp.max(y - size[1] * aslant, 0.0)
     slope = wp.vec2(x / (radius * radius), beyond / (flat * flat))
     scale = wp.sqrt(x * slope[0] + beyond * slope[1])

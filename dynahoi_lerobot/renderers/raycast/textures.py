@@ -76,14 +76,22 @@ def texel(texels: wp.array[float], start: int, side: int, wrap: int, u: float, v
         wrap: 1 if the last texel is followed by the first, 0 if by itself, as in mujoco_warp.
         u, v: texture coordinates, 0 to 1.
     """
-    x, y = u * float(side) - 0.5, v * float(side) - 0.5
-    x0, y0 = wp.floor(x), wp.floor(y)
-    left, up = int(x0), int(y0)
-    right, down = left + 1, up + 1
-    first, last = (1 - wrap) * (side - 1), wrap * (side - 1)
-    right, down = wp.where(right < side, right, first), wp.where(down < side, down, first)
-    left, up = wp.where(left < 0, last, left), wp.where(up < 0, last, up)
-    upper, lower = start + side * up, start + side * down
+    x = u * float(side) - 0.5
+    y = v * float(side) - 0.5
+    x0 = wp.floor(x)
+    y0 = wp.floor(y)
+    left = int(x0)
+    up = int(y0)
+    right = left + 1
+    down = up + 1
+    first = (1 - wrap) * (side - 1)
+    last = wrap * (side - 1)
+    right = wp.where(right < side, right, first)
+    down = wp.where(down < side, down, first)
+    left = wp.where(left < 0, last, left)
+    up = wp.where(up < 0, last, up)
+    upper = start + side * up
+    lower = start + side * down
     above = wp.lerp(texels[upper + left], texels[upper + right], x - x0)
     below = wp.lerp(texels[lower + left], texels[lower + right], x - x0)
     return wp.lerp(above, below, y - y0)
@@ -102,11 +110,13 @@ def textures_of(model: mujoco.MjModel, *, filtered: bool) -> Any:
     levels = [shrink(sharpest, smaller).reshape(model.ntex, -1) for smaller in sides]
     textures = Textures()
     texels = np.concatenate(levels, axis=1)  # (K, M)
-    textures.texels, textures.texels_each = wp.array(texels.ravel(), dtype=float), texels.shape[1]
+    textures.texels = wp.array(texels.ravel(), dtype=float)
+    textures.texels_each = texels.shape[1]
     textures.starts = wp.array(np.cumsum([0, *[one.shape[1] for one in levels]])[:-1], dtype=int)
     limits = 2 ** ((np.arange(1, len(sides)) - 0.5) / LEVELS_PER_OCTAVE)
     textures.limits = wp.array(limits.astype(np.float32), dtype=float)
-    textures.sides, textures.filtered = wp.array(sides, dtype=int), int(filtered)
+    textures.sides = wp.array(sides, dtype=int)
+    textures.filtered = int(filtered)
     return textures
 
 

@@ -158,28 +158,26 @@ def worlds_of(fields: Mapping[str, wp.array], intrinsics: Any, shapes: int) -> A
     """Return ``Worlds`` of per-world fields of N rows, by name, on warp's current device; nothing
     is placed yet.
     """
-    worlds, nsim = Worlds(), fields["geom_xpos"].shape[0]
+    worlds = Worlds()
+    nsim = fields["geom_xpos"].shape[0]
     worlds.cam_xpos, worlds.cam_xmat, worlds.light_xdir = (
         fields[n] for n in ("cam_xpos", "cam_xmat", "light_xdir")
     )
-    worlds.diffuse, worlds.specular = fields["light_diffuse"], fields["light_specular"]
+    worlds.diffuse = fields["light_diffuse"]
+    worlds.specular = fields["light_specular"]
     worlds.shapes = wp.empty((nsim, shapes), dtype=Shape)
-    tiles, rows = (
-        (nsim, intrinsics.tiles_across**2),
-        (nsim, intrinsics.size, intrinsics.tiles_across),
-    )
-    worlds.lists, worlds.casters = (
-        wp.empty((*tiles, shapes), dtype=int),
-        wp.empty((*tiles, shapes), dtype=int),
-    )
-    worlds.counts, worlds.caster_counts = wp.empty(tiles, dtype=int), wp.zeros(tiles, dtype=int)
-    worlds.visible, worlds.depths = wp.empty(rows, dtype=Indices), wp.empty(rows, dtype=Row)
+    tiles = (nsim, intrinsics.tiles_across**2)
+    rows = (nsim, intrinsics.size, intrinsics.tiles_across)
+    worlds.lists = wp.empty((*tiles, shapes), dtype=int)
+    worlds.casters = wp.empty((*tiles, shapes), dtype=int)
+    worlds.counts = wp.empty(tiles, dtype=int)
+    worlds.caster_counts = wp.zeros(tiles, dtype=int)
+    worlds.visible = wp.empty(rows, dtype=Indices)
+    worlds.depths = wp.empty(rows, dtype=Row)
     worlds.colors = wp.empty(rows, dtype=Indices)
     worlds.images = wp.empty((nsim, intrinsics.size, intrinsics.size, 3), dtype=wp.uint8)
-    worlds.light_camera, worlds.light_from_camera = (
-        wp.empty(nsim, dtype=wp.vec3),
-        wp.empty(nsim, dtype=wp.mat33),
-    )
+    worlds.light_camera = wp.empty(nsim, dtype=wp.vec3)
+    worlds.light_from_camera = wp.empty(nsim, dtype=wp.mat33)
     return worlds
 
 
@@ -280,7 +278,8 @@ def _sphere_bounds(intrinsics: CameraIntrinsics, center: wp.vec3, radius: float)
     depth = -center[2]
     if depth - radius < NEAREST_DEPTH:
         return wp.vec4(-FAR, FAR, -FAR, FAR)
-    x, y = _span(center[0], depth, radius), _span(-center[1], depth, radius)
+    x = _span(center[0], depth, radius)
+    y = _span(-center[1], depth, radius)
     half = 0.5 * float(intrinsics.size)
     return wp.vec4(x[0], x[1], y[0], y[1]) * intrinsics.focal + wp.vec4(half, half, half, half)
 
@@ -370,23 +369,28 @@ def sort_casters(intrinsics: CameraIntrinsics, worlds: Worlds):
     """
     w, tile = wp.tid()
     column = tile % intrinsics.tiles_across
-    left, top = column * TILE, (tile // intrinsics.tiles_across) * TILE
-    nearest, farthest = Row(FAR), Row(0.0)
+    left = column * TILE
+    top = (tile // intrinsics.tiles_across) * TILE
+    nearest = Row(FAR)
+    farthest = Row(0.0)
     for row in range(top, wp.min(top + TILE, intrinsics.size)):
         depth = worlds.depths[w, row, column]
         for i in range(TILE):
             nearest[i] = wp.min(nearest[i], depth[i])
             farthest[i] = wp.max(farthest[i], wp.where(depth[i] < FAR, depth[i], 0.0))
-    near, far = wp.min(nearest), wp.max(farthest)
+    near = wp.min(nearest)
+    far = wp.max(farthest)
     worlds.caster_counts[w, tile] = 0
     if far > 0.0:
-        low, high = wp.vec3(FAR), wp.vec3(-FAR)
+        low = wp.vec3(FAR)
+        high = wp.vec3(-FAR)
         for corner in range(8):
             x = slope(intrinsics, float(left + TILE * (corner & 1)))
             y = -slope(intrinsics, float(top + TILE * ((corner >> 1) & 1)))
             ray = ray_of(worlds.light_from_camera[w], x, y)
             point = worlds.light_camera[w] + wp.where(corner < 4, near, far) * ray
-            low, high = wp.min(low, point), wp.max(high, point)
+            low = wp.min(low, point)
+            high = wp.max(high, point)
         count = int(0)  # noqa: RUF046, UP018 - warp's way to say that it varies
         for s in range(worlds.shapes.shape[1]):
             if may_shade(worlds.shapes[w, s].low, worlds.shapes[w, s].high, low, high):

@@ -20,7 +20,8 @@ class ResultsLog:
 
     def __init__(self, folder: Path, info: RunInfo) -> None:
         """Write episodes of the run ``info`` into ``folder`` whenever a task ends."""
-        self._results, self._unwritten = Results(folder, info), False
+        self._results = Results(folder, info)
+        self._unwritten = False
 
     def __call__(self, episode: Episode) -> None:
         """Keep an episode, once: LeRobot fills its last batch with episodes it has played

@@ -73,7 +73,9 @@ class DynahoiRobot(Simulated, Robot):
     ) -> None:
         """Take a config; ``clock`` returns the time [s]."""
         super().__init__(config)
-        self.config, self.recipe, self._clock = config, config.recipe, clock
+        self.config = config
+        self.recipe = config.recipe
+        self._clock = clock
         self._world: LiveWorld | None = None
         self._number = config.seed  # of the next episode
         self._acted_s: float | None = None  # when the last action of this episode came
@@ -151,11 +153,13 @@ class DynahoiRobot(Simulated, Robot):
             ValueError: for a missing number or one that is not finite; the hand follows the last
                 command then.
         """
-        if missing := [name for name in NAMES if name not in action]:
+        missing = [name for name in NAMES if name not in action]
+        if missing:
             raise ValueError(
                 f"an action of robot dynahoi needs {', '.join(NAMES)}, but has no {missing[0]}"
             )
-        held, self._sent = action is self._sent, action
+        held = action is self._sent
+        self._sent = action
         if held and self._acted_s is None and self.config.restart_s is None:
             return action
         self.world.command(np.array([float(action[name]) for name in NAMES]))
@@ -182,7 +186,8 @@ class DynahoiRobot(Simulated, Robot):
             logger.info("\n%s", results_table([self._results]))
 
     def _next_is_due(self, now_s: float) -> bool:
-        ended_s, restart_s = self._ended_s, self.config.restart_s
+        ended_s = self._ended_s
+        restart_s = self.config.restart_s
         if restart_s is not None:
             return ended_s is not None and now_s - ended_s >= restart_s
         return self._acted_s is not None and now_s - self._acted_s > (
@@ -192,12 +197,15 @@ class DynahoiRobot(Simulated, Robot):
     def _begin(self) -> None:
         self.world.begin(self._number, self.config.player)
         logger.info("episode %d: %s", self._number, self.world.spec.task)
-        self._number, self._acted_s, self._ended_s = self._number + 1, None, None
+        self._number = self._number + 1
+        self._acted_s = None
+        self._ended_s = None
 
     def _note_end(self) -> None:
         """Write down the episode, if it has just ended."""
         self.world.catch_up()
-        if (episode := self.world.finished) is not None and self._ended_s is None:
+        episode = self.world.finished
+        if episode is not None and self._ended_s is None:
             self._ended_s = self._clock()
             logger.info(
                 "episode over: %s; %d frames without a new action", episode.stage, self.world.missed

@@ -137,10 +137,12 @@ class DynahoiBrowser(_Mover):
 
     async def _show(self, player: Player) -> None:
         """Send a player every new view until they leave."""
-        self._player, shown = player, None
+        self._player = player
+        shown = None
         self._came.set()
         while not player.gone:
-            if (view := self._view) is not None and view is not shown:
+            view = self._view
+            if view is not None and view is not shown:
                 await player.show(view[0], **view[1])
                 shown = view
             await asyncio.sleep(0.005)

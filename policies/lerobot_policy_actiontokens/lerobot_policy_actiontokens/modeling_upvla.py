@@ -87,7 +87,8 @@ class UPVLAPolicy(ChunkPolicy):
         """Return the logits of the codes of the future image ``(B, N, V)``, and the actions ``(B,
         H, A)``.
         """
-        begin, end = self.tokenizer.bos_token or "", self.tokenizer.eos_token
+        begin = self.tokenizer.bos_token or ""
+        end = self.tokenizer.eos_token
         texts = [begin + task + end for task in instructions(batch, len(images))]
         words = self.tokenizer(texts, padding=True, return_tensors="pt").to(images.device)
         codes = self.images.encode(images)
@@ -137,18 +138,21 @@ def lay_out(
         (mark + ACT).expand(n, n_actions),
     ]
     ids = torch.cat(parts, dim=1)  # (B, L)
-    length, image = ids.shape[1], slice(width + 1, width + n_codes + 3)
+    length = ids.shape[1]
+    image = slice(width + 1, width + n_codes + 3)
     real = torch.ones_like(ids, dtype=torch.bool)
     real[:, 1 : width + 1] = kept.bool()
     mask = torch.ones(length, length, dtype=torch.bool, device=ids.device).tril()
     mask[image] = True
     mask = mask & real.unsqueeze(1) | torch.eye(length, dtype=torch.bool, device=ids.device)
-    in_image, in_actions = slice(image.start + 1, image.stop - 1), slice(length - n_actions, length)
+    in_image = slice(image.start + 1, image.stop - 1)
+    in_actions = slice(length - n_actions, length)
     return ids, mask.unsqueeze(1), real.cumsum(1) - 1, in_image, in_actions
 
 
 def _image_tokenizer(config: UPVLAConfig) -> VQModel:
-    name, folder = config.image_tokenizer, config.image_tokenizer_folder or None
+    name = config.image_tokenizer
+    folder = config.image_tokenizer_folder or None
     if config.load_weights:
         return VQModel.from_pretrained(name, subfolder=folder)
     return cast(
@@ -213,8 +217,10 @@ class AttentionPooling(nn.Module):
         super().__init__()
         self.query = nn.Parameter(0.02 * torch.randn(1, 1, width))
         self.attention = nn.MultiheadAttention(width, n_heads, batch_first=True)
-        self.attention_norm, self.mlp_norm = nn.RMSNorm(width), nn.RMSNorm(width)
-        self.gated, self.out = nn.Linear(width, 8 * width), nn.Linear(4 * width, width)
+        self.attention_norm = nn.RMSNorm(width)
+        self.mlp_norm = nn.RMSNorm(width)
+        self.gated = nn.Linear(width, 8 * width)
+        self.out = nn.Linear(4 * width, width)
 
     def forward(self, tokens: Tensor) -> Tensor:
         """Map tokens ``(B, N, width)`` to a vector ``(B, width)``."""

@@ -190,7 +190,8 @@ class VisionBackbone(nn.Module):
 
     def __init__(self, config: OpenVLAConfig) -> None:
         super().__init__()
-        names, sizes = config.timm_model_ids or [], config.image_sizes or []
+        names = config.timm_model_ids or []
+        sizes = config.image_sizes or []
         activations = config.timm_override_act_layers or []
         towers = [_tower(*options) for options in zip(names, sizes, activations, strict=True)]
         self.featurizer = towers[0]

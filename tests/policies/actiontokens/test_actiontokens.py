@@ -16,7 +16,9 @@ from torch import Tensor
 
 from tests.zoo.stand_ins import save_image_tokenizer, save_phi, save_smolvlm
 
-SIZE, VOCABULARY, CAMERA = 3, 1000, "observation.images.ego"
+SIZE = 3
+VOCABULARY = 1000
+CAMERA = "observation.images.ego"
 PIXELS = {ActionTokensPolicy: 32, UPVLAPolicy: 16}
 BIN = 1 / 255 + 1e-6
 """How far a written action may be from what was meant."""
@@ -54,7 +56,8 @@ def make_policy(kind: type[Policy], models: Path, **changes: object) -> Policy:
 
 def make_batch(policy: Policy, n: int = 2) -> dict[str, object]:
     """What is learned from: the image to come is the second one."""
-    generator, pixels = torch.Generator().manual_seed(0), PIXELS[type(policy)]
+    generator = torch.Generator().manual_seed(0)
+    pixels = PIXELS[type(policy)]
     frames = (2,) if isinstance(policy, UPVLAPolicy) else ()
     images = torch.rand(n, *frames, 3, pixels, pixels, generator=generator)
     actions = 2 * torch.rand(n, policy.config.chunk_size, SIZE, generator=generator) - 1
@@ -93,11 +96,16 @@ def test_bins_are_those_of_openvla() -> None:
 
 
 def test_words_and_actions_look_back_and_the_image_looks_everywhere() -> None:
-    words, kept = torch.tensor([[0, 5, 6]]), torch.tensor([[0, 1, 1]])
+    words = torch.tensor([[0, 5, 6]])
+    kept = torch.tensor([[0, 1, 1]])
     ids, mask, positions, codes, actions = lay_out(
         words, kept, torch.tensor([[1, 0]]), n_actions=2, n_words=10
     )
-    task, image, end, act, code = 10, 11, 12, 13, 14
+    task = 10
+    image = 11
+    end = 12
+    act = 13
+    code = 14
     assert ids[0].tolist() == [task, 0, 5, 6, image, code + 1, code, end, act, act]
     assert ids[0, codes].tolist() == [code + 1, code]
     assert ids[0, actions].tolist() == [act, act]

@@ -17,7 +17,9 @@ from transformers import AutoModelForImageTextToText, AutoProcessor
 
 from tests.zoo.stand_ins import WORDS, save_openvla
 
-SIZE, PATCHES, CAMERA = 18, 4, "observation.images.ego"
+SIZE = 18
+PATCHES = 4
+CAMERA = "observation.images.ego"
 PROMPT = "<image>In: catch the moving ball?\nOut: "
 
 
@@ -111,7 +113,8 @@ def test_patches_follow_the_first_token(
         for block in tower.blocks[:-1]:
             x = block(x)
         seen.append(x[:, -PATCHES:])
-    gelu, projector = torch.nn.functional.gelu, model.projector
+    gelu = torch.nn.functional.gelu
+    projector = model.projector
     patches = projector.fc3(gelu(projector.fc2(gelu(projector.fc1(torch.cat(seen, dim=2))))))
     text = model.get_input_embeddings()(inputs["input_ids"])
     embeddings = torch.cat([text[:, :1], patches, text[:, 1 + PATCHES :]], dim=1)

@@ -35,8 +35,10 @@ def test_the_fovea_shows_the_pixels_around_the_point_it_looks_at():
     eye = Eye(fovea=4).eval()
     image = torch.full((1, 6, 64, 64), 0.5)
     image[:, 0, 20:26, 38:44] = 1.0
-    elsewhere, there = image.clone(), image.clone()
-    elsewhere[:, 1, 60, 2], there[:, 1, 22, 40] = 0.0, 0.0
+    elsewhere = image.clone()
+    there = image.clone()
+    elsewhere[:, 1, 60, 2] = 0.0
+    there[:, 1, 22, 40] = 0.0
     pixels = [x[:, :3].repeat(1, 3, 1, 1)[:, :7] for x in (image, elsewhere, there)]
     ray = torch.tensor([[2 * 41 / 64 - 1, 1 - 2 * 23 / 64]])
     crop, far, near = (eye._crop(x, ray) for x in pixels)

@@ -75,7 +75,8 @@ def ages(n: int, step_s: float = 0.05) -> torch.Tensor:
 
 def test_readouts_return_convex_combinations_of_earlier_positions():
     torch.manual_seed(0)
-    readout, positions = PositionReadout(16, 5), torch.arange(6.0)[None, :, None].expand(1, 6, 3)
+    readout = PositionReadout(16, 5)
+    positions = torch.arange(6.0)[None, :, None].expand(1, 6, 3)
     points, weights = readout(torch.randn(1, 6, 16), positions, ages(6), torch.tensor([[0, 3]]))
     torch.testing.assert_close(weights @ positions[:, None], points)
     assert points.shape == (1, 2, 5, 3)
@@ -87,8 +88,11 @@ def test_readouts_return_convex_combinations_of_earlier_positions():
 @torch.no_grad()
 def test_hidden_frames_change_nothing():
     torch.manual_seed(0)
-    block, readout, tokens = TemporalBlock(16, 4), PositionReadout(16, 5), torch.randn(2, 9, 16)
-    hidden, positions = torch.arange(9).expand(2, 9) < 4, torch.randn(2, 9, 3)
+    block = TemporalBlock(16, 4)
+    readout = PositionReadout(16, 5)
+    tokens = torch.randn(2, 9, 16)
+    hidden = torch.arange(9).expand(2, 9) < 4
+    positions = torch.randn(2, 9, 3)
     whole = block(tokens, ages(9), hidden)
     torch.testing.assert_close(whole[:, 4:], block(tokens[:, 4:], ages(5), None))
     points, weights = readout(tokens, positions, ages(9), torch.tensor([[4, 8]] * 2), hidden)
@@ -135,7 +139,8 @@ def test_samples_cover_two_answers_and_nothing_between_but_regression_answers_wi
 def test_padding_does_not_count():
     torch.manual_seed(0)
     head = HEADS["regression"](4, 3, [2], width=16)
-    context, actions = torch.randn(5, 4), torch.randn(5, 3, 2)
+    context = torch.randn(5, 4)
+    actions = torch.randn(5, 3, 2)
     weight = torch.tensor([1.0, 1.0, 0.0]).expand(5, 3)
     changed = actions.clone()
     changed[:, 2] += 100
@@ -200,7 +205,8 @@ def test_a_gr00t_head_learns_which_way_to_go():
     head = Gr00tHead(4, 1, [2], **SMALL_GR00T)
     optimizer = torch.optim.Adam(head.parameters(), lr=3e-3)
     sides = torch.tensor([-1.0, 1.0]).repeat(32)
-    context, actions = torch.zeros(64, 4), torch.zeros(64, 1, 2)
+    context = torch.zeros(64, 4)
+    actions = torch.zeros(64, 1, 2)
     context[:, 0] = actions[:, 0, 0] = sides
     for _ in range(100):
         optimizer.zero_grad()

@@ -42,7 +42,10 @@ from tests.checkpoints import FEATURES, SMALL_GR00T
 from tests.checkpoints import SHIPPED as SHIPPED_POLICY
 from tests.tools import generated, python
 
-N_EPISODES, N_FRAMES, FPS, SIZE = 2, 30, 10, 48
+N_EPISODES = 2
+N_FRAMES = 30
+FPS = 10
+SIZE = 48
 TINY = {
     "dim": 16,
     "n_heads": 2,
@@ -197,7 +200,8 @@ def test_it_trains_on_a_dataset_that_is_not_ours(push_root, tmp_path, monkeypatc
 def test_the_defaults_fit_any_dataset(left_out: list[str], push_root, tmp_path, monkeypatch):
     root = push_root
     if left_out:
-        root, source = tmp_path / "images", LeRobotDataset("local/tiny", root=push_root)
+        root = tmp_path / "images"
+        source = LeRobotDataset("local/tiny", root=push_root)
         modify_features(source, remove_features=left_out, output_dir=root)
     monkeypatch.setattr(f"{__name__}.TINY", {"device": "cpu", "push_to_hub": False})
     policy = ObActPolicy.from_pretrained(lerobot_train(monkeypatch, root, tmp_path / "out"))
@@ -271,7 +275,8 @@ def test_images_and_their_sightings_are_the_same_to_a_frozen_encoder(image_root,
 def test_a_window_shows_the_target_as_it_moves_from_its_first_frame_on(episodes, hand_root):
     policy = learner(hand_root)
     batch = batch_of(policy, hand_root, n=16, episodes=episodes)
-    window, paths = policy._window(batch), episode_column(hand_root, "target_path")
+    window = policy._window(batch)
+    paths = episode_column(hand_root, "target_path")
     for i, (episode, index) in enumerate(zip(batch["episode_index"], batch["index"], strict=True)):
         first = int(index - policy.targets.first_index[episode]) - 12
         path = torch.from_numpy(paths[int(episode)])
@@ -346,7 +351,8 @@ def test_without_the_targets_path_the_closed_loop_is_off_and_says_so(hand_root, 
 
 def test_the_closed_loop_counts_once_it_has_imitated(hand_root):
     policy = learner(hand_root, imitation_steps=2, virtual_share=0.0)
-    batch, losses = batch_of(policy, hand_root), []
+    batch = batch_of(policy, hand_root)
+    losses = []
     for _ in range(3):
         torch.manual_seed(0)
         losses.append(float(policy(batch)[0]))
@@ -357,7 +363,9 @@ def test_the_closed_loop_counts_once_it_has_imitated(hand_root):
 
 def test_episodes_count_alike_however_many_windows_show_them(hand_root):
     policy = learner(hand_root, virtual_share=0.0, n_hands=2)
-    targets, batch, losses = policy.targets, batch_of(policy, hand_root), []
+    targets = policy.targets
+    batch = batch_of(policy, hand_root)
+    losses = []
     assert targets.catch.unique().numel() > 1
     mean = targets.catch.float().mean()
     torch.testing.assert_close(targets.weight * targets.catch, mean.expand(4))
@@ -404,7 +412,8 @@ def test_sightings_are_for_the_eye_that_made_them(changes: dict, hand_root: Path
 
 
 def test_sightings_without_a_state_teach_actions(hand_root: Path, tmp_path: Path):
-    root, source = tmp_path / "stateless", LeRobotDataset("local/tiny", root=hand_root)
+    root = tmp_path / "stateless"
+    source = LeRobotDataset("local/tiny", root=hand_root)
     others = ["observation.phase", "observation.touch"]
     gone = ["observation.state", *(key for key in others if key in source.features)]
     modify_features(source, remove_features=gone, output_dir=root)
@@ -508,7 +517,8 @@ def test_the_average_acts_and_is_exported(tmp_path: Path):
     policy.reset()
     average = policy.select_action(step(policy))
     assert not torch.equal(average, before)
-    training, out = with_processors(policy, tmp_path / "training"), tmp_path / "out"
+    training = with_processors(policy, tmp_path / "training")
+    out = tmp_path / "out"
     for name in ("config.json", "policy_preprocessor.json"):  # as a machine with a GPU writes them
         (training / name).write_text((training / name).read_text().replace('"cpu"', '"cuda"'))
     (training / "train_config.json").write_text('{"steps": 2}')
@@ -553,7 +563,8 @@ def played(policy: ObActPolicy, rows: list[int], frames: int = 4) -> torch.Tenso
 
 
 def test_an_action_follows_from_what_was_seen_and_not_from_batch_order_interruption_or_chance():
-    policy, everyone = varied(), list(range(32))
+    policy = varied()
+    everyone = list(range(32))
     together = played(policy, everyone)
     torch.manual_seed(7)
     played(policy, [3], frames=2)  # an episode that is interrupted
@@ -566,7 +577,8 @@ def test_an_action_follows_from_what_was_seen_and_not_from_batch_order_interrupt
 def test_every_frame_has_noise_of_its_own():
     policy = varied(n_obs_steps=1)
     batch = step(policy)
-    first, second = policy.select_action(batch), policy.select_action(batch)
+    first = policy.select_action(batch)
+    second = policy.select_action(batch)
     assert (first - second).abs().max() > 1e-3
 
 
@@ -699,14 +711,17 @@ def test_a_chunk_that_is_late_follows_from_the_palm_as_it_will_be(monkeypatch):
     """A hand that goes where it was told, and a chunk that is there two frames later."""
     policy = forecasting(horizon=6, head="regression", head_options={})
     robot = policy.config.embodiment
-    asked, condition = [], policy._actor.condition
+    asked = []
+    condition = policy._actor.condition
 
     def told(forecast, palm, state):
         asked.append(palm)
         return condition(forecast, palm, state)
 
     monkeypatch.setattr(policy._actor, "condition", told)
-    batch, chunks, palms = step(policy), {}, []
+    batch = step(policy)
+    chunks = {}
+    palms = []
     for frame in range(7):
         seen = batch | {"timestamp": torch.tensor([0.05 * frame])}
         if frame % 2 == 0:  # an inference takes two frames, after which the next one begins
@@ -725,11 +740,13 @@ def test_a_chunk_that_is_late_follows_from_the_palm_as_it_will_be(monkeypatch):
 
 def test_while_a_chunk_is_awaited_the_last_one_goes_on():
     policy = forecasting(horizon=8, n_action_steps=6, inference_delay=3)
-    batch, actions = step(policy), []
+    batch = step(policy)
+    actions = []
     for i in range(12):
         batch["observation.state"] = batch["observation.state"] + 0.01
         actions.append(policy.select_action(batch | {"timestamp": torch.tensor([0.05 * i])}))
-    first, second = torch.stack(actions[:6]), torch.stack(actions[6:])
+    first = torch.stack(actions[:6])
+    second = torch.stack(actions[6:])
     assert (first[:3] == first[3]).all(), "nothing was commanded before"
     assert (second[:3] != second[3]).any(-1).all(), "what goes on is not what follows"
     assert (second[0] != second[1]).any()
@@ -781,7 +798,8 @@ def test_a_long_episode_is_no_slower_and_keeps_no_more():
 def test_recorded_actions_follow_from_where_the_palm_is_as_in_training():
     """Whatever is on its way to a hand that acts on commands two frames late."""
     policy = varied(embodiment=Embodiment(palm_speed_m_s=0.5, delay_frames=2))
-    seen, chunks = [step(policy, seed=i) for i in range(4)], []
+    seen = [step(policy, seed=i) for i in range(4)]
+    chunks = []
     for before, delay in ((policy.select_action, 0), (policy.observe, 0), (policy.observe, 2)):
         policy.reset()
         for i, batch in enumerate(seen[:3]):
@@ -827,7 +845,8 @@ def test_lerobot_s_policy_server_serves_it(tmp_path: Path):
     }
     specs = RemotePolicyConfig("obact", str(tmp_path), features, actions_per_chunk=3, device="cpu")
     assert "obact" in SUPPORTED_POLICIES, f"{launch_policy_server} adds it"
-    server, client = PolicyServer(PolicyServerConfig()), SimpleNamespace(peer=lambda: "test")
+    server = PolicyServer(PolicyServerConfig())
+    client = SimpleNamespace(peer=lambda: "test")
     server.Ready(None, client)
     server.SendPolicyInstructions(SimpleNamespace(data=pickle.dumps(specs)), client)
     image = torch.zeros(32, 32, 3, dtype=torch.uint8).numpy()

@@ -20,7 +20,8 @@ from lerobot_policy_obact.teacher import (
 
 from dynahoi_lerobot.captures import CAPTURES
 
-STEP_M, RADIUS_M = 0.025, 0.03
+STEP_M = 0.025
+RADIUS_M = 0.03
 
 
 def targets_on(path: torch.Tensor) -> Targets:
@@ -55,7 +56,8 @@ def searched(path: torch.Tensor, due: int, palm: torch.Tensor, share: float) -> 
 
 def test_it_meets_the_target_at_the_first_point_in_reach_with_time_to_spare_if_there_is_one():
     path = paths(20)
-    due, palms = torch.randint(0, 30, (20, 4)), torch.randn(20, 4, 3, 3) * 0.2
+    due = torch.randint(0, 30, (20, 4))
+    palms = torch.randn(20, 4, 3, 3) * 0.2
     told = answers(path, due, palms)
     for b, q, m in np.ndindex(20, 4, 3):
         calm, found = (
@@ -104,7 +106,9 @@ def test_fingers_are_closed_before_the_meeting_and_open_long_before():
 
 def test_the_first_palm_is_the_one_that_was_there_and_the_others_are_near_it_or_the_target():
     torch.manual_seed(0)
-    path, due, palm = paths(50), torch.full((50, 2), 20), torch.randn(50, 2, 3) * 0.1
+    path = paths(50)
+    due = torch.full((50, 2), 20)
+    palm = torch.randn(50, 2, 3) * 0.1
     palms = Teacher(20.0, STEP_M, torch.zeros(15), torch.ones(15), RADIUS_M).palms(
         targets_on(path), due, palm
     )
@@ -120,10 +124,8 @@ def test_a_palm_goes_no_farther_than_it_can_and_stops_where_it_should():
 
 
 def test_two_that_pass_each_other_between_frames_are_as_near_as_they_come():
-    start, end = (
-        torch.tensor([[1.0, 0.2, 0], [1.0, 0, 0]]),
-        torch.tensor([[-1.0, 0.2, 0], [2.0, 0, 0]]),
-    )
+    start = torch.tensor([[1.0, 0.2, 0], [1.0, 0, 0]])
+    end = torch.tensor([[-1.0, 0.2, 0], [2.0, 0, 0]])
     torch.testing.assert_close(
         passing_distance(start, end), torch.tensor([0.2, 1.0]), atol=1e-4, rtol=0
     )

@@ -19,7 +19,8 @@ from torch.nn.attention import SDPBackend, sdpa_kernel
 
 from tests.checkpoints import FEATURES
 
-PAST, FUTURE = 13, 24
+PAST = 13
+FUTURE = 24
 LENGTH = PAST + FUTURE
 LOOKS_ALONG_X = [-0.15, 0.03, 0.21, 0.5, 0.5, -0.5, -0.5]
 CALIBRATION = {"observation.images.ego": [*LOOKS_ALONG_X, 0.9, 1.0]}
@@ -49,7 +50,8 @@ def windows(b: int = 64, error: torch.Tensor | None = None, begin: int = 5) -> W
     sightings = torch.cat([view, torch.full((b, LENGTH, 2), -2.0)], dim=-1)[:, :, None]
     hidden = torch.zeros(b, LENGTH, dtype=torch.bool)
     frames = Frames(sightings, state, torch.arange(LENGTH) / 20.0, hidden)
-    actions, weight = torch.zeros(b, 8, 18), torch.ones(b, 8)
+    actions = torch.zeros(b, 8, 18)
+    weight = torch.ones(b, 8)
     return Window(frames, ~hidden, actions, weight, torch.full((b,), begin), targets)
 
 
@@ -154,7 +156,8 @@ def test_after_the_recorded_catch_all_hands_are_virtual():
 
 def test_a_virtual_hand_decides_until_it_has_caught_its_target():
     shown = hands().drawn(windows(begin=0), 1.0)
-    offset, targets = shown.frames.palm - shown.targets.path[:, :LENGTH], shown.targets
+    offset = shown.frames.palm - shown.targets.path[:, :LENGTH]
+    targets = shown.targets
     near = teacher().misses(offset) < teacher().radius_m
     frame = torch.arange(1, LENGTH)
     assert not near[frame < targets.free[:, None]].any()
@@ -165,7 +168,8 @@ def test_a_virtual_hand_decides_until_it_has_caught_its_target():
 
 
 def test_where_nothing_is_to_be_decided_only_the_forecast_is_learned():
-    window, actor = windows(), policy(closed_loop_weight=0.0)
+    window = windows()
+    actor = policy(closed_loop_weight=0.0)
     caught = replace(window, targets=replace(window.targets, free=torch.full((64,), PAST - 1)))
     losses = window_losses(actor.model, caught, teacher())
     assert losses["action"].abs().max() == losses["missed"].abs().max() == 0
@@ -181,7 +185,8 @@ def test_windows_may_be_short(past: int, future: int, late: int):
         calibration=CALIBRATION, palm_speed_m_s=0.5, capture="attach", delay_frames=late
     )
     actor = policy(n_obs_steps=past, n_future_steps=future, embodiment=embodiment)
-    n, window = past + future, windows()
+    n = past + future
+    window = windows()
     frames = window.frames
     frames = replace(
         frames,
@@ -223,7 +228,8 @@ def test_what_is_shown_later_on_a_path_was_never_hidden():
 def test_a_hand_that_the_policy_leads_follows_its_head(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("lerobot_policy_obact.windows.LED_SHARE", 1.0)
     monkeypatch.setattr("lerobot_policy_obact.windows.PUSHED_SHARE", 0.0)
-    corner, leader = torch.tensor([5.0, -5.0, 5.0]), hands()
+    corner = torch.tensor([5.0, -5.0, 5.0])
+    leader = hands()
     goal = torch.cat([corner, torch.zeros(15)])
     monkeypatch.setattr(leader.model, "act_once", lambda f, palm, state: goal.expand(len(palm), 18))
     palm = leader.drawn(windows(begin=0), 1.0).frames.palm
@@ -239,7 +245,8 @@ def rolled_out(window: Window, head, first: int, late: int = 0) -> torch.Tensor:
     """The loss of a head in windows whose palms are rolled out from frame ``first`` on."""
     config = SimpleNamespace(embodiment=Embodiment(delay_frames=late, palm_speed_m_s=0.5))
     model = SimpleNamespace(config=config, act_once=head)
-    b, rows = len(window.begin), torch.arange(first, first + FUTURE - late)
+    b = len(window.begin)
+    rows = torch.arange(first, first + FUTURE - late)
     places = torch.zeros(b, len(rows), len(FORECAST_FRAMES), 3)
     forecast = Forecast(torch.zeros(b, len(rows), 1), places)
     return closed_loop_loss(model, forecast, window, rows.expand(b, -1), teacher()).sum()
@@ -265,11 +272,13 @@ def test_a_palm_is_rolled_out_from_when_the_first_command_takes_effect(late: int
 
 def test_the_closed_loop_loss_falls_where_the_head_learns_to_meet_the_target():
     """A head that sends every palm to one place, and a target that waits 12 cm away."""
-    window, goal = windows(1), torch.zeros(3, requires_grad=True)
+    window = windows(1)
+    goal = torch.zeros(3, requires_grad=True)
     path = torch.tensor([0.1, 0.05, -0.05]).expand(1, 200, 3)
     window = replace(window, targets=replace(window.targets, path=path))
     head = lambda forecast, palm, state: torch.cat([goal.expand(1, 3), state[:, 3:]], dim=1)  # noqa: E731
-    optimizer, losses = torch.optim.Adam([goal], lr=0.02), []
+    optimizer = torch.optim.Adam([goal], lr=0.02)
+    losses = []
     for _ in range(60):
         loss = rolled_out(window, head, PAST - 1)
         optimizer.zero_grad()
