@@ -46,6 +46,17 @@ def record_slowly(recording: FakeRecording, seeds: Sequence[int]) -> Iterator[Ep
         yield episode
 
 
+def record_the_last_after(
+    sign: Path, recording: FakeRecording, seeds: Sequence[int]
+) -> Iterator[Episode]:
+    """Seed 9 is recorded once the file ``sign`` is there; a minute is waited for it."""
+    for episode in record(recording, seeds):
+        end_s = time.monotonic() + 60
+        while episode.meta.seed == 9 and not sign.exists() and time.monotonic() < end_s:
+            time.sleep(0.01)
+        yield episode
+
+
 def record_with_nan(recording: FakeRecording, seeds: Sequence[int]) -> Iterator[Episode]:
     """Seeds below 100 that end in 3 give a corrupt recording."""
     for episode in record(recording, seeds):

@@ -5,6 +5,7 @@ meanwhile.
 import dataclasses
 import json
 import shutil
+from functools import partial
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -68,13 +69,16 @@ def test_any_shard_size_gives_the_same_tables_and_videos_and_progress_counts_epi
 def test_a_shard_is_merged_before_all_are_made(workers, reference, tmp_path, monkeypatch):
     made: list[int] = []
     copy = DatasetWriter.copy
+    merged = tmp_path / "merged"
 
     def copy_and_look(*args):
         made.append(len(list(workspace_path(tmp_path / "d").glob("shard-*"))))
         copy(*args)
+        merged.touch()
 
     monkeypatch.setattr(DatasetWriter, "copy", copy_and_look)
-    generate(plan(), tmp_path / "d", record=recorder.record_slowly, workers=workers)
+    record = partial(recorder.record_the_last_after, merged)
+    generate(plan(), tmp_path / "d", record=record, workers=workers)
     assert made[0] < made[-1] == plan().shards
     assert same(reference, tmp_path / "d")
 

@@ -62,7 +62,8 @@ def window_losses(model: ObActModel, window: Window, teacher: Teacher | None) ->
             window.action_weight[:, None, None],
         )
         return decision_losses(model, model.encode_history(window.frames, now), decisions)
-    late, targets = config.embodiment.delay_frames, window.targets
+    late = config.embodiment.delay_frames
+    targets = window.targets
     # the last decision takes effect before the catch, in the window, and with two known frames of
     # the target's path, in which to meet it, still to come
     last = torch.minimum(targets.free, targets.length - 2).clamp_max(n_frames) - 1 - late
@@ -113,7 +114,8 @@ class Decisions(Record):
 
 def decisions_at(window: Window, rows: Tensor, teacher: Teacher, config: ObActConfig) -> Decisions:
     """Return the teacher's answers to decisions at ``rows`` ``(B, Q)``, for several palms."""
-    targets, late = window.targets, config.embodiment.delay_frames
+    targets = window.targets
+    late = config.embodiment.delay_frames
     assert targets is not None
     last = window.recorded.shape[1] - 1
     palm = gather_frames(window.frames.palm, (rows + late).clamp_max(last))
@@ -186,7 +188,8 @@ def closed_loop_loss(
     """Return the loss of each window, ``(B,)``, for palms that are rolled out through decisions at
     frames ``rows`` ``(B, R)``.
     """
-    targets, late = window.targets, model.config.embodiment.delay_frames
+    targets = window.targets
+    late = model.config.embodiment.delay_frames
     assert targets is not None
     n_frames = window.recorded.shape[1]
     device = rows.device

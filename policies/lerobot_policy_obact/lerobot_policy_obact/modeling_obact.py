@@ -103,7 +103,8 @@ class ObActPolicy(PreTrainedPolicy):
         """
         from .losses import window_losses
 
-        window, teacher = self._window(batch), None
+        window = self._window(batch)
+        teacher = None
         if self.targets is not None:
             teacher = self.targets.teacher
             window = self._with_hands(window)
@@ -328,7 +329,8 @@ class ObActPolicy(PreTrainedPolicy):
         model = self._actor
         cameras = self.config.cameras
         before = self._shown if self._shown and self._history.newest >= 0 else batch
-        known, given = len(before[cameras[0]]), len(batch[cameras[0]])
+        known = len(before[cameras[0]])
+        given = len(batch[cameras[0]])
         if known != given:
             raise ValueError(
                 f"the batch changed from {known} to {given} environments: call policy.reset() "

@@ -200,7 +200,8 @@ def rolled_out(
         begin: the decision from which on the palm moves, ``(B,)``; by default the first.
         pushes: by which goals are off, ``(B, R', 3)`` [m], R' >= R.
     """
-    ways, step_m = [*way.unbind(1)], model.config.embodiment.step_m
+    ways = [*way.unbind(1)]
+    step_m = model.config.embodiment.step_m
     for r in range(forecast.features.shape[1]):
         palm = ways[-1]
         goal = palm_of(model.act_once(forecast[:, r], palm, state))

@@ -85,10 +85,8 @@ class Teacher:
         # what the palm is short of [m]
         late = (distance - self.step_m * ahead).masked_fill(~known, float("inf"))
         slack_m = SLACK * self.radius_m
-        possible, planned = (
-            late <= slack_m,
-            known & (distance - PLANNED_SPEED * self.step_m * ahead <= slack_m),
-        )
+        possible = late <= slack_m
+        planned = known & (distance - PLANNED_SPEED * self.step_m * ahead <= slack_m)
         reachable = possible.any(-1)
         possible = torch.where(planned.any(-1, keepdim=True), planned, possible)
         frames = torch.where(reachable, possible.int().argmax(-1), late.argmin(-1)) + 1
@@ -108,7 +106,8 @@ class Teacher:
         """Return commands to the joints [rad], ``(..., J)``, of hands that should be closed by
         ``(...)``.
         """
-        opened, closed = self.open_joints.to(closing), self.closed_joints.to(closing)
+        opened = self.open_joints.to(closing)
+        closed = self.closed_joints.to(closing)
         return torch.lerp(opened, closed, closing[..., None])
 
     def palms(self, targets: Targets, due: Tensor, palm: Tensor) -> Tensor:

@@ -75,7 +75,9 @@ class VirtualHands:
     """
 
     def __init__(self, config: ObActConfig, teacher: Teacher, model: ObActModel) -> None:
-        self.config, self.teacher, self.model = config, teacher, model
+        self.config = config
+        self.teacher = teacher
+        self.model = model
 
     @torch.no_grad()
     def drawn(self, window: Window, virtual_share: float) -> Window:
@@ -86,7 +88,8 @@ class VirtualHands:
         """
         targets, (b, n) = window.targets, window.recorded.shape
         assert targets is not None
-        over, device = targets.free < self.config.n_obs_steps, window.begin.device
+        over = targets.free < self.config.n_obs_steps
+        device = window.begin.device
         virtual = over | _chance(virtual_share, b, device)
         later = virtual & (over | _chance(LATER_SHARE, b, device))
         known = targets.length.clamp_max(targets.path.shape[1])
@@ -102,7 +105,8 @@ class VirtualHands:
         """Return the frames in which hands have caught their targets, ``(B,)``; of those that do
         not, the last one that is known.
         """
-        targets, palm = window.targets, window.frames.palm
+        targets = window.targets
+        palm = window.frames.palm
         assert targets is not None
         frame = torch.arange(palm.shape[1] - 1, device=palm.device)
         misses = self.teacher.misses(palm - targets.path[:, : palm.shape[1]])
@@ -117,9 +121,12 @@ class VirtualHands:
         seen on such a way.
         """
         embodiment, (b, n) = self.config.embodiment, window.recorded.shape
-        recorded_palm, begin, device = window.frames.palm, window.begin, window.begin.device
+        recorded_palm = window.frames.palm
+        begin = window.begin
+        device = window.begin.device
         assert window.targets is not None
-        path, late = window.targets.path, embodiment.delay_frames
+        path = window.targets.path
+        late = embodiment.delay_frames
         spread_m = PUSH_M * torch.rand(b, 1, device=device) ** PUSH_POWER
         spread_m = spread_m * (virtual & _chance(PUSHED_SHARE, b, device))[:, None]
         near = path[:, 0] + LATER_M * torch.randn(b, 3, device=device)
@@ -139,7 +146,8 @@ class VirtualHands:
         seen = self._with_palm(window, donors, ways).frames[led]
         rows = torch.arange(max(0, n - 1 - late), device=device).expand(len(seen.state), -1)
         forecast = self.model.encode_history(seen, rows)
-        start, state = ways[led, : late + 1], seen.state[:, 0]
+        start = ways[led, : late + 1]
+        state = seen.state[:, 0]
         ways[led] = rolled_out(
             self.model, forecast, start, state, begin=begin[led], pushes=pushes[led]
         )
@@ -149,7 +157,9 @@ class VirtualHands:
         """Return by how much goals are off in n frames, ``(B, n, 3)`` [m]; that changes when a hand
         begins to move, and now and then.
         """
-        b, device, pushes = len(begin), begin.device, []
+        b = len(begin)
+        device = begin.device
+        pushes = []
         for t in range(n):
             fresh = spread_m * torch.randn(b, 3, device=device)
             changes = (_chance(CHANGE_SHARE, b, device) | (begin == t))[:, None]
@@ -159,7 +169,8 @@ class VirtualHands:
     def _with_palm(self, window: Window, donors: Donors, palm: Tensor) -> Window:
         """Return what hands would have seen whose palms are at ``(B, L, 3)`` [m]."""
         assert window.targets is not None
-        frames, n = window.frames, palm.shape[1]
+        frames = window.frames
+        n = palm.shape[1]
         state = torch.cat([palm, frames.state[..., 3:]], dim=-1)
         seen = donors.seen(window.targets.path[:, :n], palm)
         return replace(window, frames=replace(frames, sightings=seen, state=state))
@@ -174,13 +185,17 @@ class Donors:
     """
 
     def __init__(self, window: Window, cameras: list[Pinhole]) -> None:
-        targets, recorded, n = window.targets, window.recorded, window.recorded.shape[1]
+        targets = window.targets
+        recorded = window.recorded
+        n = window.recorded.shape[1]
         assert targets is not None
         row = torch.arange(n, device=recorded.device)
         usable = recorded & (row < targets.free[:, None])
         # of a window after the catch, one frame must do
         usable[:, 0] |= ~usable.any(1)
-        self.usable, self.cameras, self.seen_there = usable, cameras, window.frames.sightings
+        self.usable = usable
+        self.cameras = cameras
+        self.seen_there = window.frames.sightings
         self.true_there = _views(cameras, targets.path[:, :n], window.frames.palm)
         last = torch.where(usable, row, -1).amax(1, keepdim=True)
         first = torch.where(usable, row, n).amin(1, keepdim=True)
@@ -202,7 +217,8 @@ class Donors:
     def _with_errors(self, view: Tensor, was: Tensor, seen: Tensor) -> Tensor:
         """Return what one camera sees, ``(B, L, 5)``, whose true view is ``(B, L, 3)``."""
         donor = self._nearest(view, was)
-        seen, was = seen.flatten(0, 1)[donor], was.flatten(0, 1)[donor]
+        seen = seen.flatten(0, 1)[donor]
+        was = was.flatten(0, 1)[donor]
         error = seen[..., :3] - was
         farther = ((view - was)[..., 2:] * DEPTH_POWER).exp().clamp(*DEPTH_RATIOS)
         error = torch.cat([error[..., :2], error[..., 2:] * farther], dim=-1)
@@ -257,7 +273,8 @@ def _shown_later(window: Window, frames: Tensor) -> Window:
     path = gather_frames(targets.path, index.clamp_max(n - 1))
     length = targets.length.clamp_max(n) - frames
     later = replace(targets, path=path, length=length)
-    hidden, row = window.frames.hidden, torch.arange(window.recorded.shape[1], device=frames.device)
+    hidden = window.frames.hidden
+    row = torch.arange(window.recorded.shape[1], device=frames.device)
     if hidden is not None:
         hidden = row < (hidden.sum(1) - frames)[:, None]
     seen = replace(window.frames, hidden=hidden)

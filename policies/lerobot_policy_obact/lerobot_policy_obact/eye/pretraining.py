@@ -84,11 +84,13 @@ class RenderedImages(IterableDataset):
     """
 
     def __init__(self, recipe: PretrainRecipe, first: int) -> None:
-        self._recipe, self._first = recipe, first
+        self._recipe = recipe
+        self._first = first
 
     def __iter__(self) -> Iterator[tuple[Any, Any]]:
         """Yield those of this worker."""
-        info, every = get_worker_info(), self._recipe.save_every
+        info = get_worker_info()
+        every = self._recipe.save_every
         turn, n_workers = (0, 1) if info is None else (info.id, info.num_workers)
         stream = ImageStream(self._recipe, (self._first + turn) % n_workers, n_workers)
         for save, updates in groupby(
@@ -130,7 +132,8 @@ class Training:
             recipe.device
         )
         self.optimizer = torch.optim.AdamW(eye.parameters(), lr=0.0, weight_decay=1e-4)
-        self.n_updates, self._spent_s = 0, 0.0
+        self.n_updates = 0
+        self._spent_s = 0.0
         self._folder = RunFolder(recipe.out, draccus.encode(replace(recipe, out=Path())))
         with reading(recipe.out / STATE):
             state = self._folder.restore()
@@ -156,7 +159,8 @@ class Training:
 
         The weights are for the option ``weights`` of `Eye`. Raises what ``update`` raises.
         """
-        recipe, losses = self.recipe, []
+        recipe = self.recipe
+        losses = []
         shown = RenderedImages(recipe, self.n_updates)
         # a process that is forked from one that uses CUDA cannot use it
         context = "spawn" if recipe.workers else None

@@ -15,7 +15,8 @@ from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.core.reading import read_text, reading, regular
 from dynahoi_lerobot.core.working_folder import working_folder
 
-LOG, STATE = "log.jsonl", "state.pt"
+LOG = "log.jsonl"
+STATE = "state.pt"
 STATE_TYPES = {
     "updates": int,
     "processor_s": float,
