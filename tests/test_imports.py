@@ -60,7 +60,8 @@ DOCUMENTED = {
     "lerobot.utils.import_utils",
 }
 """Modules of LeRobot that its documentation tells plugins to import."""
-TAUGHT = {"lerobot_policy_obact/lerobot_policy_obact/eye/pretraining"}
+EYE = "lerobot_policy_obact/lerobot_policy_obact/eye"
+TAUGHT = {f"{EYE}/pretraining", f"{EYE}/run_folder"}
 """Modules of policies that import the core."""
 PROGRAM = """
 import importlib, pkgutil, sys
