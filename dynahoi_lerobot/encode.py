@@ -1,9 +1,8 @@
-"""``dynahoi encode``: copy a dataset with what an image sensor sees in its images instead of
-these.
+"""``dynahoi encode``: copy a dataset, replacing its images by what an image sensor sees in them.
 
-A frozen encoder says the same of an image whenever it is asked. So a policy that has one learns
-from columns ``observation.sightings.<view>`` of a few numbers a frame, windows of which LeRobot
-loads where it could not decode as many images.
+A frozen encoder gives the same output for an image every time. So a policy with such an encoder can
+learn from columns ``observation.sightings.<view>`` of a few numbers per frame. LeRobot loads whole
+windows of these in the time that it needs to decode a few images.
 """
 
 import json
@@ -36,7 +35,7 @@ from dynahoi_lerobot.dataset.store import Store, episode_column, frame_column, o
 from dynahoi_lerobot.world.detector import eye_state
 
 SIGHTINGS_PREFIX = OBSERVATION_PREFIX + "sightings."
-"""What the key of a column begins with that holds the sightings in a view."""
+"""Prefix of the key of a column with the sightings in a view."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,6 +93,11 @@ def encode(
         views[view] = image_sensor(sensor)(view)
     if not views:
         raise ValueError(f"{root} has no images to encode")
+    if environment_state and (sensor != EYE or EGO_VIEW not in views):
+        raise ValueError(
+            f"{root} has no images of the hand's camera for the eye to see: the views are "
+            f"{', '.join(views)} and the sensor is {sensor!r}"
+        )
     dataset = open_dataset(root)
     columns = dict(zip(views, _sightings(store, views), strict=True))
     added: dict[str, Any] = {
@@ -102,11 +106,6 @@ def encode(
     }
     provenance = manifest.provenance | {ENCODED: {"sensor": sensor, "from": manifest.digest}}
     if environment_state:
-        if sensor != EYE or EGO_VIEW not in views:
-            raise ValueError(
-                f"{root} has no images of the hand's camera for the eye to see: the views are "
-                f"{', '.join(views)} and the sensor is {sensor!r}"
-            )
         values = _eye_states(store, type(views[EGO_VIEW]), columns[EGO_VIEW])
         added[ENVIRONMENT_STATE] = (values, _vector(values, SIGHTING_NAMES))
         provenance = _with_rule(provenance, "environment_state", EYE)
@@ -142,7 +141,7 @@ def _vector(values: np.ndarray, names: Sequence[str]) -> dict[str, Any]:
 
 
 def _eye_states(store: Store, sensor: type[ImageSensor], sightings: np.ndarray) -> np.ndarray:
-    """Return what environments would have shown of the sightings (N, 5) of all frames, (N, 14)."""
+    """Return the ``environment_state`` (N, 14) that follows from sightings (N, 5) of all frames."""
     palms = frame_column(store.root, "observation.state")[:, :PALM_DOF]
     ends = np.cumsum(store.lengths)[:-1]
     episodes = zip(
@@ -156,7 +155,7 @@ def _eye_states(store: Store, sensor: type[ImageSensor], sightings: np.ndarray) 
 
 
 def _with_rule(provenance: dict[str, Any], name: str, value: str) -> dict[str, Any]:
-    """Return a provenance whose rules, if it has any, say something else."""
+    """Return a provenance with one field of its rules replaced, if it has rules."""
     recording = provenance.get("recording")
     if not recording:
         return provenance
@@ -166,7 +165,7 @@ def _with_rule(provenance: dict[str, Any], name: str, value: str) -> dict[str, A
 
 
 def _copy_unknown(source: Path, target: Path) -> None:
-    """Copy the files that LeRobot knows nothing of, which its tools leave out."""
+    """Copy the files that LeRobot does not know; its tools leave them out."""
     for path in sorted(source.rglob("*")):
         copy = target / path.relative_to(source)
         if path.is_file() and not copy.exists() and path.name != Path(paths.MANIFEST_PATH).name:

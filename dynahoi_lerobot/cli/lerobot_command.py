@@ -9,7 +9,7 @@ from dynahoi_lerobot.core.lerobot_internals import video_backend_unspoken
 
 
 def main() -> None:
-    """Run the command that the first word names with the others."""
+    """Run the command that the first word names, with the remaining words as its arguments."""
     name = sys.argv[1]
     sys.argv[:2] = [f"lerobot-{name}"]
     with video_backend_unspoken():

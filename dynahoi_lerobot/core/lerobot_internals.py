@@ -26,7 +26,7 @@ BAD_INPUT = 2
 
 @contextmanager
 def video_backend_unspoken() -> Iterator[None]:
-    """Say nothing about torchcodec, which ``dynahoi doctor`` counts as a problem in one line."""
+    """Mute the warning about torchcodec; ``dynahoi doctor`` reports the problem in one line."""
     logger = logging.getLogger(VIDEO_BACKEND_LOGGER)
     before = logger.level
     logger.setLevel(logging.ERROR)

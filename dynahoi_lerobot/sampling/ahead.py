@@ -9,12 +9,12 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 
 AT_ONCE = 8
-"""Episodes that the thread draws together: few, as those begun are also drawn if nobody wants them
-any more."""
+"""Episodes that the thread draws together: few, because a batch that has begun is drawn even if
+nobody wants it any more."""
 
 
 class SpecsAhead:
-    """Draws a recipe's episodes, those that are to come in a thread.
+    """Draws a recipe's episodes, the coming ones in a thread.
 
     An episode is a function of (recipe, seed), so nothing depends on when it is drawn.
     """
@@ -69,8 +69,8 @@ class SpecsAhead:
         self._pool.shutdown(wait=False, cancel_futures=True)
 
     def _arrived(self, seeds: Sequence[int]) -> dict[int, EpisodeSpec]:
-        """Wait for those of ``seeds`` that the thread draws; return all that it drew with them, but
-        nothing of where it failed, which is left to who asks for it.
+        """Wait for the batches of the thread that contain ``seeds``; return all their episodes. A
+        batch that failed is left out: the caller draws its seeds again, which raises the error.
         """
         futures = {self._coming[seed] for seed in seeds if seed in self._coming}
         specs = [spec for one in futures if one.exception() is None for spec in one.result()]

@@ -9,11 +9,10 @@ from .configuration_obact import Embodiment
 from .frames import palm_of, stepped
 
 HELD_SHARE = 0.5
-"""A palm is held that moved by less than this share of the way that it was told: one that obeys
-covers all of it, and one that is held nothing."""
+"""A palm that covered at most this share of its commanded way is held: one that obeys covers all of
+it, one that is held none."""
 LEAST_TOLD_M = 1e-3
-"""A shorter way in a frame tells nothing of that: a palm that hovers where it should also stands
-still."""
+"""A shorter commanded way decides nothing: a palm that hovers at its goal stands still, too."""
 
 
 class CommandBuffer:

@@ -41,7 +41,7 @@ CLOSED_JOINTS = "reference_joints"
 CAMERA_POSE = "{}_camera"
 CAMERA_INTRINSICS = "{}_intrinsics"
 RADIUS_M = {"attach": 0.03, "attach_lenient": 0.1}
-"""Within which a palm has the target, by the rule of capture."""
+"""Distance within which a palm has caught the target, by capture rule [m]."""
 CARRIED_VIEW = "ego"  # the view of the camera that the palm carries
 CLOSED_QUANTILE = 0.6
 """Objects differ by 6 % in how far a hand closes around them; closing a little too far grasps more
@@ -109,7 +109,7 @@ def is_encoded(config: ObActConfig, meta: Any) -> bool:
 
 
 def _check_encoder(config: ObActConfig, meta: Any) -> None:
-    """Refuse what an encoder would ignore, or could not see."""
+    """Refuse options that the encoder would ignore, and data that it could not read."""
     encoded = is_encoded(config, meta)
     if config.n_future_steps and not encoded:
         raise ValueError(
@@ -145,8 +145,8 @@ def image_transforms_enabled() -> bool:
 
 
 def columns_of(meta: Any, folder: str, wanted: Iterable[str]) -> dict[str, list[Any]]:
-    """Return those of the ``wanted`` columns that the table in a folder's files has, in the order
-    of episodes and their frames; nothing if the dataset has no such table.
+    """Return the ``wanted`` columns that the table in a folder has, in the order of episodes and
+    frames; nothing if the dataset has no such table.
     """
     if not (meta.root / folder).is_dir():
         return {}
@@ -260,7 +260,7 @@ class TargetTable:
 
     @classmethod
     def of(cls, meta: Any, embodiment: Embodiment) -> TargetTable:
-        """Return that of the dataset of LeRobot's metadata, which has the target's path."""
+        """Return the table of the dataset that ``meta`` describes, which has the target's path."""
         table = columns_of(meta, EPISODES, {"length", WINDOW})
         constants = columns_of(meta, CONSTANTS, {TARGET_PATH, OPEN_JOINTS, CLOSED_JOINTS})
         truth = columns_of(meta, TRUTH, {LOCALIZED})

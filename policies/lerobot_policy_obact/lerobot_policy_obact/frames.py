@@ -11,19 +11,19 @@ from torch import Tensor, nn
 
 @dataclass(frozen=True)
 class Record:
-    """Tensors, and records of those, by name."""
+    """A named collection of tensors, or of records of tensors."""
 
     def map(self, change: Callable[[Any], Any]) -> Self:
-        """Return it with all that it holds changed."""
+        """Return a copy with ``change`` applied to every field."""
         held = {field.name: getattr(self, field.name) for field in fields(self)}
         return replace(self, **{name: change(x) for name, x in held.items() if x is not None})
 
     def to(self, device: str | torch.device) -> Self:
-        """Return it with all that it holds on a device."""
+        """Return a copy on a device."""
         return self.map(lambda x: x.to(device))
 
     def __getitem__(self, index: Any) -> Self:
-        """Return it with all that it holds indexed, where all tensors begin with the same axes."""
+        """Return a copy with every tensor indexed; all must begin with the same axes."""
         return self.map(lambda x: x[index])
 
 
@@ -43,7 +43,7 @@ class Frames(Record):
         return palm_of(self.state)
 
     def __getitem__(self, index: Any) -> Self:
-        """Return those of some episodes; all have the same times."""
+        """Return the frames of some episodes; all have the same times."""
         chosen = {"sightings": self.sightings[index], "state": self.state[index]}
         hidden = None if self.hidden is None else self.hidden[index]
         return replace(self, **chosen, hidden=hidden)
