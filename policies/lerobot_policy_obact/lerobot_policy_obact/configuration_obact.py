@@ -115,6 +115,9 @@ class ObActConfig(PreTrainedConfig):
     n_hands: int = 2  # hands that are drawn for each window, see `windows`
     virtual_share: float = 0.8  # share of those that are virtual; others are shown as recorded
     n_decisions: int = 6  # decisions of a hand at which the losses of forecast and action are taken
+    delayed_share: float = 0.5
+    """Share of the training steps in which inference takes 1 to ``horizon - 1`` frames: a policy
+    then learns to act on the forecast of when its commands take effect."""
     forecast_weight: float = 1.0
     """Weight of the loss of the forecast; 0 learns the recorded actions alone, without the target's
     path."""
@@ -156,6 +159,7 @@ class ObActConfig(PreTrainedConfig):
         allowed = f"one of {', '.join(ENCODERS)}"
         self._require(not self.encoder or self.encoder in ENCODERS, "encoder", allowed)
         self._require(self.head in HEADS, "head", f"one of {', '.join(HEADS)}")
+        self._require(0 <= self.delayed_share <= 1, "delayed_share", "0 to 1")
         self._require(0 <= self.ema_decay < 1, "ema_decay", "0 or more and below 1")
         identity = all(
             mode == NormalizationMode.IDENTITY for mode in self.normalization_mapping.values()

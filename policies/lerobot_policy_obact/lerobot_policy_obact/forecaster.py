@@ -69,6 +69,8 @@ class Forecast(Record):
 
     def later(self, frames: int) -> Forecast:
         """Return it as it is so many frames later: for times that count from then."""
+        if not frames:
+            return self
         times = torch.tensor(FORECAST_FRAMES, device=self.places.device)
         wanted = (times + frames).clamp_max(times[-1])
         high = torch.searchsorted(times, wanted).clamp_min(1)

@@ -14,9 +14,10 @@ class Record:
     """A named collection of tensors, or of records of tensors."""
 
     def map(self, change: Callable[[Any], Any]) -> Self:
-        """Return a copy with ``change`` applied to every field."""
+        """Return a copy with ``change`` applied to every tensor in it."""
         held = {field.name: getattr(self, field.name) for field in fields(self)}
-        return replace(self, **{name: change(x) for name, x in held.items() if x is not None})
+        tensors = {name: x for name, x in held.items() if isinstance(x, (Tensor, Record))}
+        return replace(self, **{name: change(x) for name, x in tensors.items()})
 
     def to(self, device: str | torch.device) -> Self:
         """Return a copy on a device."""

@@ -62,14 +62,14 @@ def window_losses(model: ObActModel, window: Window, teacher: Teacher | None) ->
             window.action_weight[:, None, None],
         )
         return decision_losses(model, model.encode_history(window.frames, now), decisions)
-    late = config.embodiment.delay_frames
+    late = window.delay_frames
     targets = window.targets
     # the last decision takes effect before the catch, in the window, and with two known frames of
     # the target's path, in which to meet it, still to come
     last = torch.minimum(targets.free, targets.length - 2).clamp_max(n_frames) - 1 - late
     spread = torch.rand(len(now), config.n_decisions, device=now.device)
     rows = now + (spread * (last[:, None] - now + 1).clamp_min(0)).long()
-    latest = max(config.n_obs_steps, n_frames - LEAST_ROLLED) - 1
+    latest = max(config.n_obs_steps, n_frames - LEAST_ROLLED - late) - 1
     first = window.begin[:, None].clamp(min=now).clamp_max(latest)
     rolled = first + torch.arange(config.n_future_steps, device=now.device)
     rolled = rolled.clamp_max(n_frames - 1)
@@ -78,7 +78,7 @@ def window_losses(model: ObActModel, window: Window, teacher: Teacher | None) ->
     decisions = decisions_at(window, rows, teacher, config)
     losses = decision_losses(model, forecast[:, : config.n_decisions], decisions)
     if config.n_future_steps and config.closed_loop_weight:
-        rolled_forecast = forecast[:, config.n_decisions :]
+        rolled_forecast = forecast[:, config.n_decisions :].later(late)
         losses["closed_loop"] = closed_loop_loss(model, rolled_forecast, window, rolled, teacher)
     return losses
 
@@ -109,13 +109,14 @@ class Decisions(Record):
     state: Tensor  # of the robot, (B, Q, M, S)
     actions: Tensor  # the right ones, (B, Q, M, H, A)
     weight: Tensor  # of each, 0 for padding, (B, Q, M, H)
+    delay_frames: int = 0  # until the commands take effect
     future: Future | None = None  # where the target will be; None if nobody knows
 
 
 def decisions_at(window: Window, rows: Tensor, teacher: Teacher, config: ObActConfig) -> Decisions:
     """Return the teacher's answers to decisions at ``rows`` ``(B, Q)``, for several palms."""
     targets = window.targets
-    late = config.embodiment.delay_frames
+    late = window.delay_frames
     assert targets is not None
     last = window.recorded.shape[1] - 1
     palm = gather_frames(window.frames.palm, (rows + late).clamp_max(last))
@@ -125,14 +126,15 @@ def decisions_at(window: Window, rows: Tensor, teacher: Teacher, config: ObActCo
     answers = teacher.answer(targets, due, palms, config.horizon)
     index = rows[..., None] + torch.tensor(FORECAST_FRAMES, device=rows.device)
     weight = torch.where(answers.reachable, 1.0, UNREACHABLE_WEIGHT)
-    # nothing is decided in a window that only shows what follows a catch
-    weight = weight * (rows < targets.free[:, None])[..., None]
+    # nothing is decided that would take effect after the catch
+    weight = weight * (rows + late < targets.free[:, None])[..., None]
     state = gather_frames(window.frames.state, rows)[:, :, None]
     return Decisions(
         palm=palms,
         state=state.expand(-1, -1, palms.shape[2], -1),
         actions=torch.cat([answers.goal, teacher.joints(answers.closing)], dim=-1),
         weight=repeat(weight, "b q m -> b q m h", h=config.horizon),
+        delay_frames=late,
         future=Future(
             place=targets.places(index),
             known=index < targets.length[:, None, None],
@@ -164,7 +166,7 @@ def decision_losses(
         x.flatten(0, 2)
         for x in (decisions.palm, decisions.state, decisions.actions, decisions.weight)
     )
-    forecast = replace(forecast, attention=None).map(
+    forecast = replace(forecast.later(decisions.delay_frames), attention=None).map(
         lambda x: repeat(x, "b q ... -> (b q m) ...", m=n_palms)
     )
     context, origin = model.condition(forecast, palm, state)
@@ -186,10 +188,10 @@ def closed_loop_loss(
     model: ObActModel, forecast: Forecast, window: Window, rows: Tensor, teacher: Teacher
 ) -> Tensor:
     """Return the loss of each window, ``(B,)``, for palms that are rolled out through decisions at
-    frames ``rows`` ``(B, R)``.
+    frames ``rows`` ``(B, R)``; the forecast counts from when these take effect.
     """
     targets = window.targets
-    late = model.config.embodiment.delay_frames
+    late = window.delay_frames
     assert targets is not None
     n_frames = window.recorded.shape[1]
     device = rows.device

@@ -130,7 +130,7 @@ class ObActPolicy(PreTrainedPolicy):
         unpadded = torch.zeros(n_windows, horizon, dtype=torch.bool, device=device)
         weight = (~batch.get(f"{ACTION}_is_pad", unpadded)).float()
         begin = torch.zeros(n_windows, dtype=torch.long, device=device)
-        window = Window(frames, recorded, actions, weight, begin)
+        window = Window(frames, recorded, actions, weight, begin, self._drawn_delay())
         if self.targets is None:
             return window
         episode = batch["episode_index"].flatten().cpu()
@@ -138,6 +138,16 @@ class ObActPolicy(PreTrainedPolicy):
         first = newest + config.observation_delta_indices[0]
         targets, begin = self.targets.window(episode, first, recorded.shape[1])
         return replace(window, begin=begin.to(device), targets=targets.to(device))
+
+    def _drawn_delay(self) -> int:
+        """Return after how many frames commands take effect in a step of the training: those that
+        the robot takes, and now and then those of an inference.
+        """
+        config = self.config
+        delay_frames = config.embodiment.delay_frames
+        if self.training and config.horizon > 1 and torch.rand(()) < config.delayed_share:
+            delay_frames += int(torch.randint(1, config.horizon, ()))
+        return delay_frames
 
     def _with_hands(self, window: Window) -> Window:
         """Return windows with several hands for each, of which the acting weights lead some."""
@@ -358,7 +368,7 @@ class ObActPolicy(PreTrainedPolicy):
         begins = 0  # recorded actions were learned from where the palm is now
         if self.config.forecasts:
             begins = inference_delay
-            forecast = forecast.later(begins)
+            forecast = forecast.later(begins + self.config.embodiment.delay_frames)
             palm = self._commands.due(frames.palm, newest, begins)
         context, origin = model.condition(forecast, palm, frames.state[:, -1])
         eyes, rays = model.forecaster.sighted(frames)

@@ -57,6 +57,7 @@ class Window(Record):
     actions: Tensor  # recorded from the current frame on, (B, H, A)
     action_weight: Tensor  # of those, 0 for padding, (B, H)
     begin: Tensor  # the frame in which the hand may move, (B,)
+    delay_frames: int  # from a frame until the command that is decided in it takes effect
     targets: Targets | None = None  # None if nothing is known of them
 
     def repeated(self, n: int) -> Window:
@@ -126,7 +127,7 @@ class VirtualHands:
         device = window.begin.device
         assert window.targets is not None
         path = window.targets.path
-        late = embodiment.delay_frames
+        late = window.delay_frames
         spread_m = PUSH_M * torch.rand(b, 1, device=device) ** PUSH_POWER
         spread_m = spread_m * (virtual & _chance(PUSHED_SHARE, b, device))[:, None]
         near = path[:, 0] + LATER_M * torch.randn(b, 3, device=device)
@@ -145,7 +146,7 @@ class VirtualHands:
         led = virtual & _chance(LED_SHARE, b, device)
         seen = self._with_palm(window, donors, ways).frames[led]
         rows = torch.arange(max(0, n - 1 - late), device=device).expand(len(seen.state), -1)
-        forecast = self.model.encode_history(seen, rows)
+        forecast = self.model.encode_history(seen, rows).later(late)
         start = ways[led, : late + 1]
         state = seen.state[:, 0]
         ways[led] = rolled_out(
