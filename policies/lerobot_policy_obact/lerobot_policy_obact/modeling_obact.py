@@ -304,26 +304,18 @@ class ObActPolicy(PreTrainedPolicy):
         self.eval()
         now_s = time.monotonic() if live else self._history.now_s + step_s
         if live and "timestamp" not in batch:
-            if self._is_repeated_by_lerobot(batch):
+            # LeRobot's real-time chunking asks faster than frames come, and after a reset it shows
+            # the last frame of the episode before: the policy acts on that, and forgets it when
+            # another frame comes, with which the episode begins
+            again = self._is_shown_again(batch)
+            if again and self._history.newest >= 0:
                 return
+            if self._stale:
+                self.reset()
+            self._stale = again
             if self._history.newest >= 0:
                 now_s = self._history.tick(now_s, self.config.embodiment.fps)
         self._see(batch, now_s)
-
-    def _is_repeated_by_lerobot(self, batch: Batch) -> bool:
-        """Whether the history has a batch that LeRobot's real-time chunking hands over once more,
-        because it asks faster than frames come.
-
-        After `reset` it also hands over the last frame of the episode before. The policy has to act
-        on that, and forgets it here when another frame comes, with which the episode begins.
-        """
-        again = self._is_shown_again(batch)
-        if again and self._history.newest >= 0:
-            return True
-        if self._stale:
-            self.reset()
-        self._stale = again
-        return False
 
     def _is_shown_again(self, batch: Batch) -> bool:
         """Whether a batch is the one that was shown last."""

@@ -52,7 +52,7 @@ def windows(b: int = 64, error: torch.Tensor | None = None, begin: int = 5) -> W
     frames = Frames(sightings, state, torch.arange(LENGTH) / 20.0, hidden)
     actions = torch.zeros(b, 8, 18)
     weight = torch.ones(b, 8)
-    return Window(frames, ~hidden, actions, weight, torch.full((b,), begin), targets)
+    return Window(frames, ~hidden, actions, weight, torch.full((b,), begin), 0, targets)
 
 
 def policy(**changes: object) -> ObActPolicy:
@@ -181,10 +181,7 @@ def test_where_nothing_is_to_be_decided_only_the_forecast_is_learned():
 @pytest.mark.parametrize(("past", "future"), [(1, 0), (1, 1), (2, 2), (13, 3), (1, 24)])
 @pytest.mark.parametrize("late", [0, 3])
 def test_windows_may_be_short(past: int, future: int, late: int):
-    embodiment = Embodiment(
-        calibration=CALIBRATION, palm_speed_m_s=0.5, capture="attach", delay_frames=late
-    )
-    actor = policy(n_obs_steps=past, n_future_steps=future, embodiment=embodiment)
+    actor = policy(n_obs_steps=past, n_future_steps=future)
     n = past + future
     window = windows()
     frames = window.frames
@@ -195,7 +192,7 @@ def test_windows_may_be_short(past: int, future: int, late: int):
         time_s=frames.time_s[:n],
         hidden=frames.hidden[:, :n],
     )
-    window = replace(window, frames=frames, recorded=window.recorded[:, :n])
+    window = replace(window, frames=frames, recorded=window.recorded[:, :n], delay_frames=late)
     shown = VirtualHands(actor.config, teacher(), actor.acting).drawn(window, 0.8)
     assert shown.frames.palm.shape == (64, n, 3)
     losses = window_losses(actor.model, shown, teacher())
@@ -225,6 +222,28 @@ def test_what_is_shown_later_on_a_path_was_never_hidden():
     assert (shown.frames.hidden.sum(1) == (10 - later).clamp_min(0)).all()
 
 
+def test_a_led_hand_reads_the_forecast_of_when_its_commands_take_effect(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    """Targets that are one meter farther in every frame, in the forecasts."""
+    late = 4
+    leader = hands()
+    asked = []
+
+    def forecast(frames: Frames, rows: torch.Tensor) -> Forecast:
+        places = rows[..., None] + torch.tensor(FORECAST_FRAMES)
+        return Forecast(rows[..., None].float(), places[..., None].expand(-1, -1, -1, 3).float())
+
+    def act_once(forecast: Forecast, palm: torch.Tensor, state: torch.Tensor) -> torch.Tensor:
+        asked.append(float(forecast.places[0, 0, 0]))
+        return torch.zeros(len(palm), 18)
+
+    monkeypatch.setattr(leader.model, "encode_history", forecast)
+    monkeypatch.setattr(leader.model, "act_once", act_once)
+    leader.drawn(replace(windows(begin=0), delay_frames=late), 1.0)
+    assert asked == [float(frame) for frame in range(late, LENGTH - 1)]
+
+
 def test_a_hand_that_the_policy_leads_follows_its_head(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("lerobot_policy_obact.windows.LED_SHARE", 1.0)
     monkeypatch.setattr("lerobot_policy_obact.windows.PUSHED_SHARE", 0.0)
@@ -243,7 +262,8 @@ def test_a_hand_that_the_policy_leads_follows_its_head(monkeypatch: pytest.Monke
 
 def rolled_out(window: Window, head, first: int, late: int = 0) -> torch.Tensor:
     """The loss of a head in windows whose palms are rolled out from frame ``first`` on."""
-    config = SimpleNamespace(embodiment=Embodiment(delay_frames=late, palm_speed_m_s=0.5))
+    config = SimpleNamespace(embodiment=Embodiment(palm_speed_m_s=0.5))
+    window = replace(window, delay_frames=late)
     model = SimpleNamespace(config=config, act_once=head)
     b = len(window.begin)
     rows = torch.arange(first, first + FUTURE - late)
