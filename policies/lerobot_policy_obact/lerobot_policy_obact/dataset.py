@@ -220,9 +220,9 @@ def _view(key: str) -> str:
 
 def _calibration(view: str, constants: dict[str, list[Any]]) -> list[float]:
     """Return the calibration of the camera of a view, see `Embodiment`."""
-    focal_px, _, centre_px, _ = constants[CAMERA_INTRINSICS.format(view)][0]
+    focal_px, _, center_px, _ = constants[CAMERA_INTRINSICS.format(view)][0]
     pose = constants[CAMERA_POSE.format(view)][0]
-    return [*pose, centre_px / focal_px, float(view == CARRIED_VIEW)]
+    return [*pose, center_px / focal_px, float(view == CARRIED_VIEW)]
 
 
 def _learnable_capture(meta: Any, constants: dict[str, list[Any]]) -> str:

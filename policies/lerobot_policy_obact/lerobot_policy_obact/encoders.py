@@ -55,7 +55,7 @@ class Encoder(nn.Module):
         self.register_buffer("pixel_mean", torch.tensor(mean).view(-1, 1, 1), persistent=False)
         self.register_buffer("pixel_std", torch.tensor(std).view(-1, 1, 1), persistent=False)
 
-    def standardise(self, images: Tensor) -> Tensor:
+    def standardize(self, images: Tensor) -> Tensor:
         """Map images in [0, 1], shape ``(F, C, H, W)``, to the range that the weights expect."""
         return (images - self.pixel_mean) / self.pixel_std
 
@@ -152,7 +152,7 @@ class Eye(Encoder):
         return self._sighting(images, ray, read, self.fovea / images.shape[-1]), heat
 
     def _patches(self, pixels: Tensor) -> Tensor:
-        """Return the patches of pixels; `standardise` is folded into the weights."""
+        """Return the patches of pixels; `standardize` is folded into the weights."""
         assert self.patches.bias is not None
         weight = self.patches.weight / self.pixel_std
         shift = reduce(weight * self.pixel_mean, "o i y x -> o", "sum")
@@ -166,7 +166,7 @@ class Eye(Encoder):
         y = -ray[:, 1:] + steps / height
         grid = torch.stack(torch.broadcast_tensors(x[:, None, :], y[:, :, None]), dim=-1)
         crop = F.grid_sample(pixels, grid, padding_mode="border", align_corners=False)
-        return self.standardise(crop)
+        return self.standardize(crop)
 
 
 class Conv(Encoder):
@@ -187,7 +187,7 @@ class Conv(Encoder):
 
     def cells(self, images: Tensor) -> Tensor:
         """See `Encoder.cells`; 1/8 resolution."""
-        return rearrange(self.net(self.standardise(images)), "f c h w -> f h w c")
+        return rearrange(self.net(self.standardize(images)), "f c h w -> f h w c")
 
 
 class TransformersVision(Encoder):
@@ -226,7 +226,7 @@ class TransformersVision(Encoder):
             images = F.interpolate(
                 images, (self.input_px,) * 2, mode="bilinear", align_corners=False
             )
-        features = self.tower(pixel_values=self.standardise(images)).last_hidden_state
+        features = self.tower(pixel_values=self.standardize(images)).last_hidden_state
         if features.dim() == 4:
             return rearrange(features, "f d h w -> f h w d")
         side = math.isqrt(features.shape[1])

@@ -171,7 +171,7 @@ def decision_losses(
     )
     context, origin = model.condition(forecast, palm, state)
     # (B * Q * M,)
-    loss = model.head.loss(context, model.normalise(actions, origin.detach()), weight)
+    loss = model.head.loss(context, model.normalize(actions, origin.detach()), weight)
     losses["action"] = rearrange(loss, "(b n) -> b n", b=n_windows).mean(1)
     if decisions.future is not None:
         # by the place that was picked

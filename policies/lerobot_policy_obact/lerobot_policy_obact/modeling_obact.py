@@ -372,7 +372,7 @@ class ObActPolicy(PreTrainedPolicy):
             intercept=origin[:, 0],
             attention=forecast.attention,
         )
-        chunk = model.unnormalise(model.head.sample(context, newest), origin).float()
+        chunk = model.unnormalize(model.head.sample(context, newest), origin).float()
         # its first action is for the frame in which it begins, and stands for those before
         ahead = torch.arange(chunk.shape[1], device=chunk.device) - begins
         return self._commands.give(chunk[:, ahead.clamp_min(0)], newest, inference_delay)

@@ -164,16 +164,16 @@ class ObActModel(nn.Module):
         """
         context, origin = self.condition(forecast, palm, state)
         start = torch.randn(len(context), *self.head.noise_shape, device=context.device)
-        return self.unnormalise(self.head.denoise(context, start, 1), origin)[:, 0]
+        return self.unnormalize(self.head.denoise(context, start, 1), origin)[:, 0]
 
-    def normalise(self, actions: Tensor, origin: Tensor) -> Tensor:
+    def normalize(self, actions: Tensor, origin: Tensor) -> Tensor:
         """Map actions ``(R, H, A)`` to what the head predicts; they count from ``origin`` ``(R, H,
         3)``.
         """
         return (actions - self._offset(origin)) / self.action_std
 
-    def unnormalise(self, predicted: Tensor, origin: Tensor) -> Tensor:
-        """Invert `normalise`."""
+    def unnormalize(self, predicted: Tensor, origin: Tensor) -> Tensor:
+        """Invert `normalize`."""
         return predicted * self.action_std + self._offset(origin)
 
     def _offset(self, origin: Tensor) -> Tensor:

@@ -126,9 +126,9 @@ class Training:
             raise ValueError(
                 f"eye is {recipe.eye} on {recipe.device!r}, which cannot be made: {error}"
             ) from error
-        pose, (focal_px, _, centre_px, _) = calibration(recipe)
+        pose, (focal_px, _, center_px, _) = calibration(recipe)
         carried = recipe.camera == EGO_VIEW
-        self._camera = Pinhole.from_pose(pose.tolist(), centre_px / focal_px, carried=carried).to(
+        self._camera = Pinhole.from_pose(pose.tolist(), center_px / focal_px, carried=carried).to(
             recipe.device
         )
         self.optimizer = torch.optim.AdamW(eye.parameters(), lr=0.0, weight_decay=1e-4)

@@ -71,8 +71,8 @@ class EyeSensor:
             intrinsics: of the camera, ``(4,)`` [px].
             carried: whether the hand carries it.
         """
-        focal_px, _, centre_px, _ = intrinsics
+        focal_px, _, center_px, _ = intrinsics
         camera = Pinhole.from_pose(
-            [*map(float, pose)], float(centre_px / focal_px), carried=carried
+            [*map(float, pose)], float(center_px / focal_px), carried=carried
         )
         return camera.place(torch.from_numpy(sightings[:, :3])).numpy()
