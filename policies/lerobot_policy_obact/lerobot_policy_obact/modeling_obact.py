@@ -23,7 +23,7 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from .commands import CommandBuffer
 from .configuration_obact import ObActConfig
-from .frames import Frames, ObservationHistory
+from .frames import Frames, ObservationHistory, palm_of, stepped
 from .network import Batch, ObActModel
 from .threads import on_one_thread
 
@@ -31,6 +31,7 @@ from .threads import on_one_thread
 # nothing that acts can reach it
 if TYPE_CHECKING:
     from .dataset import TargetTable
+    from .forecaster import Forecast
     from .windows import Window
 
 AVERAGED = "average.module."
@@ -249,8 +250,11 @@ class ObActPolicy(PreTrainedPolicy):
         if not (self._action_queue and self._is_shown_again(batch)):
             self._see(batch, self._history.now_s + 1 / self.config.embodiment.fps)
         if not self._action_queue:
-            chunk = self._chunk(self.config.inference_delay)
-            self._action_queue.extend(chunk[:, : self.config.n_action_steps].unbind(1))
+            config = self.config
+            # the last ones go on until the next chunk is ready
+            n_actions = config.n_action_steps + config.inference_delay
+            chunk = self._chunk(config.inference_delay, n_actions)
+            self._action_queue.extend(chunk[:, : config.n_action_steps].unbind(1))
         return self._action_queue.popleft()
 
     def keep_rows(self, rows: Any) -> bool:
@@ -285,7 +289,7 @@ class ObActPolicy(PreTrainedPolicy):
         config = self.config
         live = self.real_time or "prev_chunk_left_over" in kwargs
         self._note(batch, config.n_action_steps / config.embodiment.fps, live=live)
-        return self._chunk(inference_delay)
+        return self._chunk(inference_delay, config.horizon)
 
     @on_one_thread
     @torch.no_grad()
@@ -345,24 +349,17 @@ class ObActPolicy(PreTrainedPolicy):
         self._history.add(sightings, state, time_s)
         self._shown = {key: batch[key].clone() for key in (*self.config.state_keys, *cameras)}
 
-    def _chunk(self, inference_delay: int) -> Tensor:
-        """Return the chunk for the newest frame, ``(B, H, A)``, that is there so many frames
-        later.
-
-        Forecast and palm are those of the frame in which it is there, however late that is. Only
-        `CommandBuffer.give` cuts the delay to the chunk's length, of which the last action stays.
+    def _chunk(self, inference_delay: int, n_actions: int) -> Tensor:
+        """Return the first actions of the chunk for the newest frame, ``(B, n_actions, A)``, that
+        is there ``inference_delay`` frames later.
         """
         model = self._actor
-        newest = self._history.newest
         frames = self._history.frames()
         forecast = model.encode_history(frames)[:, 0]
-        palm = frames.palm[:, -1]
-        begins = 0  # recorded actions were learned from where the palm is now
         if self.config.forecasts:
-            begins = inference_delay
-            forecast = forecast.later(begins + self.config.embodiment.delay_frames)
-            palm = self._commands.due(frames.palm, newest, begins)
-        context, origin = model.condition(forecast, palm, frames.state[:, -1])
+            actions, origin = self._rolled_out(forecast, frames, inference_delay, n_actions)
+        else:  # recorded actions were learned from where the palm is now
+            actions, origin = self._decide(forecast, frames.palm[:, -1], frames.state[:, -1])
         eyes, rays = model.forecaster.sighted(frames)
         self.decision = Decision(
             sightings=frames.sightings[:, -1],
@@ -372,10 +369,40 @@ class ObActPolicy(PreTrainedPolicy):
             intercept=origin[:, 0],
             attention=forecast.attention,
         )
-        chunk = model.unnormalize(model.head.sample(context, newest), origin).float()
-        # its first action is for the frame in which it begins, and stands for those before
-        ahead = torch.arange(chunk.shape[1], device=chunk.device) - begins
-        return self._commands.give(chunk[:, ahead.clamp_min(0)], newest, inference_delay)
+        return self._commands.give(actions[:, :n_actions], self._history.newest, inference_delay)
+
+    def _decide(self, forecast: Forecast, palm: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the chunk that the head samples, ``(B, H, A)``, and the places from which its
+        actions count, ``(B, H, 3)``; see `ObActModel.condition`.
+        """
+        model = self._actor
+        context, origin = model.condition(forecast, palm, state)
+        chunk = model.unnormalize(model.head.sample(context, self._history.newest), origin)
+        return chunk.float(), origin
+
+    def _rolled_out(
+        self, forecast: Forecast, frames: Frames, inference_delay: int, n_actions: int
+    ) -> tuple[Tensor, Tensor]:
+        """Return actions for the newest frame and those after it, ``(B, n_actions, A)``, and the
+        places from which those of the first decision count, ``(B, H, 3)``.
+
+        As in the closed loop of the training, each is the first action of a decision of its own,
+        from the forecast and the palm as of the frame in which it takes effect. The first decision
+        is for the frame in which inference ends, and stands for those before.
+        """
+        embodiment = self.config.embodiment
+        palm = self._commands.due(frames.palm, self._history.newest, inference_delay)
+        effective = inference_delay + embodiment.delay_frames
+        decided = []
+        for ahead in range(max(1, n_actions - inference_delay)):
+            chunk, origin = self._decide(
+                forecast.later(effective + ahead), palm, frames.state[:, -1]
+            )
+            decided.append((chunk[:, 0], origin))
+            palm = stepped(palm, palm_of(chunk[:, 0]), embodiment.step_m)
+        actions = [action for action, _ in decided]
+        before = [actions[0]] * min(inference_delay, n_actions - 1)
+        return torch.stack([*before, *actions], dim=1), decided[0][1]
 
     # -- real-time chunking, adapters, checkpoints -------------------------------------------------
 

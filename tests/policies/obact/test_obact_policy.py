@@ -708,7 +708,9 @@ def test_real_time_chunking_guides_no_chunk():
 
 
 def test_a_chunk_that_is_late_follows_from_the_palm_as_it_will_be(monkeypatch):
-    """A hand that goes where it was told, and a chunk that is there two frames later."""
+    """A hand that goes where it was told, and a chunk that is there two frames later. Each further
+    action follows from the palm as it will be by then, too.
+    """
     policy = forecasting(horizon=6, head="regression", head_options={})
     robot = policy.config.embodiment
     asked = []
@@ -722,7 +724,7 @@ def test_a_chunk_that_is_late_follows_from_the_palm_as_it_will_be(monkeypatch):
     batch = step(policy)
     chunks = {}
     palms = []
-    for frame in range(7):
+    for frame in range(8):
         seen = batch | {"timestamp": torch.tensor([0.05 * frame])}
         if frame % 2 == 0:  # an inference takes two frames, after which the next one begins
             chunks[frame] = policy.predict_action_chunk(seen, 2)
@@ -734,8 +736,27 @@ def test_a_chunk_that_is_late_follows_from_the_palm_as_it_will_be(monkeypatch):
             goal = chunks[begun][:, frame - begun, :3]
             batch["observation.state"][:, :3] = stepped(palms[-1], goal, robot.step_m)
     assert (chunks[0][:, 0] == chunks[0][:, 2]).all(), "what is past stands still"
-    torch.testing.assert_close(asked[2].float(), palms[6], atol=1e-5, rtol=0)
+    by_chunk = [asked[i : i + 4] for i in range(0, len(asked), 4)]
+    assert [len(palms) for palms in by_chunk] == [4] * 4, "the last four of six actions are decided"
+    for ahead in (0, 1):
+        wanted = palms[6 + ahead]
+        torch.testing.assert_close(by_chunk[2][ahead].float(), wanted, atol=1e-5, rtol=0)
     assert (palms[6] - palms[4]).norm(dim=-1).min() > robot.step_m
+
+
+def test_each_action_of_a_chunk_follows_from_the_forecast_as_of_its_frame(monkeypatch):
+    policy = forecasting(horizon=4)
+    shifts = []
+
+    def later(forecast, frames):
+        shifts.append(frames)
+        return forecast
+
+    monkeypatch.setattr("lerobot_policy_obact.forecaster.Forecast.later", later)
+    policy.predict_action_chunk(step(policy), 1)
+    assert shifts == [1, 2, 3]
+    policy.select_action(step(policy, seed=1))
+    assert shifts[3:] == [0], "alone, an action needs one decision"
 
 
 def test_while_a_chunk_is_awaited_the_last_one_goes_on():
@@ -750,7 +771,7 @@ def test_while_a_chunk_is_awaited_the_last_one_goes_on():
     assert (first[:3] == first[3]).all(), "nothing was commanded before"
     assert (second[:3] != second[3]).any(-1).all(), "what goes on is not what follows"
     assert (second[0] != second[1]).any()
-    torch.testing.assert_close(second[1], second[2])  # after its last action, where that led
+    assert (second[1] != second[2]).any(), "each follows from a decision of its own"
 
 
 def test_without_a_forecast_a_late_chunk_is_the_one_of_a_hand_that_acts_at_once():
