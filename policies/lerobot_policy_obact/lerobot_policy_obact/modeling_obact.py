@@ -146,7 +146,8 @@ class ObActPolicy(PreTrainedPolicy):
         """
         config = self.config
         delay_frames = config.embodiment.delay_frames
-        if self.training and config.horizon > 1 and torch.rand(()) < config.delayed_share:
+        draws = self.training and config.horizon > 1 and config.delayed_share > 0
+        if draws and torch.rand(()) < config.delayed_share:
             delay_frames += int(torch.randint(1, config.horizon, ()))
         return delay_frames
 
