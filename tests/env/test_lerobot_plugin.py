@@ -103,26 +103,6 @@ def test_lerobots_loop_and_ours_give_the_same_rows(tmp_path: Path, monkeypatch: 
     ]
 
 
-def test_rows_lie_in_the_order_of_the_split_though_lerobot_plays_kind_by_kind(
-    act: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    options = ("--env.task=lob,constant", "--env.split=val", "--eval.n_episodes=4")
-    found = through_lerobot(act, tmp_path, monkeypatch, *options)
-    seeds = [row["seed"] for row in found.rows]
-    assert seeds == sorted(seeds)
-    kinds = [row["kind"] for row in found.rows]
-    assert kinds == ["constant", "lob"] * 4, "kinds take turns in the split"
-
-
-@pytest.mark.parametrize(
-    "option", [{"renderer": "tilez"}, {"hand": "claw"}, {"max_parallel_tasks": 2}]
-)
-def test_what_cannot_be_played_is_refused_by_the_config(option: dict):
-    (value,) = option.values()
-    with pytest.raises(ValueError, match=str(value)):
-        DynahoiEnvConfig(**SMALL, **option)
-
-
 def test_features_are_the_datasets_and_further_views_reach_the_policy(tmp_path: Path) -> None:
     config = DynahoiEnvConfig(
         **SMALL, views=("side", "ego_depth"), task="planar", results_dir=str(tmp_path)
@@ -211,18 +191,6 @@ def test_a_checkpoint_is_played_under_the_rules_it_was_trained_for(tmp_path, mon
     monkeypatch.setattr("sys.argv", ["lerobot-eval"])
     plain = DynahoiEnvConfig(task="lob", image_size=32, results_dir=str(tmp_path / "out"))
     assert plain.create_envs(1)["projectile"][0].recipe.rules.control_class == "standard"
-
-
-def test_a_policy_of_two_cameras_gets_both(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(
-        "sys.argv", ["lerobot-eval", f"--policy.path={SHIPPED.with_name('obact_two')}"]
-    )
-    options = {"task": "lob", "results_dir": str(tmp_path / "out")}
-    both = DynahoiEnvConfig(**options).create_envs(1)["projectile"][0]
-    assert both.recipe.rules.views == ("side",)
-    assert "views side" in capsys.readouterr().out
-    one = DynahoiEnvConfig(views=(), **options).create_envs(1)["projectile"][0]
-    assert one.recipe.rules.views == ()
 
 
 @pytest.fixture(scope="module")
