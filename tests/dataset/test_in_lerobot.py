@@ -137,7 +137,7 @@ def test_episode_rows_are_the_same_where_lerobot_has_them(pair):
         )
 
 
-def test_dataset_statistics_are_the_same_but_for_pinned_quantiles(pair):
+def test_dataset_statistics_are_the_same_but_for_pinned_quantiles_of_columns(pair):
     ours, theirs = (load(root, "meta/stats.json") for root in pair)
     assert set(ours) == set(theirs)
     for key, stats in theirs.items():
