@@ -2,11 +2,8 @@
 from.
 """
 
-import importlib
 import json
-import logging
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -182,20 +179,6 @@ def test_opens_and_its_episode_columns_can_be_filtered_and_read(dataset):
     assert (chosen.episodes, chosen.num_frames) == ([4, 5], LENGTHS[4] + LENGTHS[5])
     assert chosen.meta.episodes[4]["object"] == "ball"
     check_images(chosen, 0, 4, 0)
-
-
-def test_opening_says_nothing_where_torchcodec_is_unusable(dataset, monkeypatch, caplog):
-    def load(name: str, package: str | None = None) -> ModuleType:
-        if name == "torchcodec":
-            raise RuntimeError("Could not load libtorchcodec")
-        return real(name, package)
-
-    real = importlib.import_module
-    monkeypatch.setattr(importlib, "import_module", load)
-    open_dataset(dataset)
-    assert not [entry for entry in caplog.records if entry.levelno >= logging.WARNING]
-    LeRobotDataset(REPO, root=dataset)
-    assert "libtorchcodec" in caplog.text, "others hear of it as before"
 
 
 def test_windows_over_time_stay_within_the_episode(dataset):

@@ -254,19 +254,13 @@ def test_seeds_number_the_episodes_of_kind_and_split() -> None:
 
 def test_the_first_episodes_are_played_over_and_over() -> None:
     env = DynahoiVectorEnv(2, split="train", kind="lob", episodes=3, **BLIND)
-    whole = DynahoiVectorEnv(2, split="train", kind="lob", **BLIND)
     env.reset(seed=4)
-    whole.reset(seed=[1, 2])
-    for some, others in zip(env._batch.specs, whole._batch.specs, strict=True):
-        np.testing.assert_equal(vars(some), vars(others))
     hand = np.zeros(env.action_space.shape, np.float32)
     seeds = set()
     for _ in range(200):
         env.step(hand)
         seeds |= {spec.seed for spec in env._batch.specs}
     assert seeds == {kind_seed(env.recipe, "lob", number) for number in range(3)}
-    env.close()
-    whole.close()
     with pytest.raises(ValueError, match="at least 1, or None for all, got 0"):
         DynahoiVectorEnv(2, episodes=0)
 

@@ -15,14 +15,14 @@ from safetensors.torch import load_file, save_file
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.reading import sha256
+from dynahoi_lerobot.dataset import read_episodes
 from dynahoi_lerobot.evaluate.checkpoint import PolicyError, checked_folder, trained_for
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.generate.actor import actor_name
 from tests.checkpoints import RENAMES, renamed_act, tiny_adapter
-from tests.docs.playing import run
 from tests.env.test_lerobot_plugin import through_lerobot
-from tests.tools import edit_json, generated
+from tests.tools import edit_json, generated, options, run
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def adapter(place: Path, tmp_path: Path) -> Path:
     return shutil.copytree(place, tmp_path / "place") / "runs/adapter"
 
 
-def test_an_adapter_plays_and_results_name_both_weights(adapter, tmp_path):
+def test_an_adapter_plays_in_every_command_and_results_name_both_weights(adapter, tmp_path):
     words = ["--policy", str(adapter), "--episodes", "1", "--out", str(tmp_path / "results")]
     assert main(["evaluate", *words]) == 0
     found = read_results(tmp_path / "results")
@@ -48,6 +48,12 @@ def test_an_adapter_plays_and_results_name_both_weights(adapter, tmp_path):
         "adapter_model.safetensors": sha256(adapter / "adapter_model.safetensors"),
         "base/model.safetensors": sha256(base),
     }
+    clip = tmp_path / "x.gif"
+    assert main(["view", "--motion", "lob", "--policy", str(adapter), "--out", str(clip)]) == 0
+    assert clip.read_bytes()[:4] == b"GIF8"
+    made = ["generate", "--actor", str(adapter), "--episodes", "1", "--motions", "constant"]
+    assert main([*made, "--image-size", "32", "--root", str(tmp_path / "data")]) == 0
+    assert len(list(read_episodes(tmp_path / "data"))) == 1
 
 
 def test_an_adapter_acts_as_lerobot_makes_it_act(adapter: Path, monkeypatch) -> None:
@@ -145,24 +151,17 @@ def act(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return renamed_act(tmp_path_factory.mktemp("act"))
 
 
-def test_a_checkpoint_with_renamed_cameras_plays_in_every_command(act: Path, tmp_path: Path):
+def test_a_checkpoint_with_renamed_cameras_plays(act: Path, tmp_path: Path):
     told = trained_for(act)
     assert (told["views"], told["image_size"]) == (("side",), 32)
     out = str(tmp_path / "results")
     assert main(["evaluate", "--policy", str(act), "--episodes", "1", "--out", out]) == 0
     assert read_results(Path(out)).recipe().rules.views == ("side",)
-    clip = tmp_path / "x.gif"
-    assert main(["view", "--motion", "lob", "--policy", str(act), "--out", str(clip)]) == 0
-    made = ["generate", "--actor", str(act), "--episodes", "1", "--motions", "constant"]
-    assert main([*made, "--root", str(tmp_path / "data")]) == 0
 
 
-def test_lerobot_eval_plays_it_with_and_without_the_map(act: Path, tmp_path, monkeypatch):
+def test_lerobot_eval_plays_it_with_and_without_the_map(act: Path, tmp_path: Path):
     option = (f"--rename_map={json.dumps(RENAMES)}",)
-    found = [
-        through_lerobot(act, tmp_path / str(len(given)), monkeypatch, *given)
-        for given in ((), option)
-    ]
+    found = [through_lerobot(act, tmp_path / str(len(given)), *given) for given in ((), option)]
     assert found[0].recipe().rules.views == ("side",)
     for one, other in zip(*(results.actions for results in found), strict=True):
         np.testing.assert_array_equal(one, other)
@@ -178,7 +177,7 @@ def trained(data: Path, out: Path, *words: str) -> Path:
     """The checkpoint of two steps of LeRobot's training."""
     told = {"dataset.repo_id": "local/d", "dataset.root": data, "output_dir": out}
     told |= {"steps": 2, "batch_size": 2, "num_workers": 0, "policy.push_to_hub": "false"}
-    run(["lerobot-train", *(f"--{name}={value}" for name, value in told.items()), *words])
+    run(["lerobot-train", *options(told), *words])
     return out / "checkpoints/last/pretrained_model"
 
 

@@ -12,7 +12,7 @@ from lerobot.datasets.dataset_tools import (
     convert_image_to_video_dataset,
     delete_episodes,
 )
-from lerobot.scripts.lerobot_edit_dataset import OperationConfig, edit_dataset
+from lerobot.scripts.lerobot_edit_dataset import OperationConfig
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.dataset import open_dataset, read_episodes
@@ -20,7 +20,7 @@ from dynahoi_lerobot.dataset.store import frame_column
 from dynahoi_lerobot.dataset.video import Encoding
 from dynahoi_lerobot.verify.command import verify
 from tests.dataset.episodes import write
-from tests.tools import edit_json, generated
+from tests.tools import edit_json, generated, run
 from tests.verify.test_forgeries import DATA, INFO, VIDEO, column, told
 
 pytestmark = pytest.mark.slow  # LeRobot takes long to import
@@ -49,7 +49,7 @@ COLUMNS_GONE = ("delete_episodes", "split", "convert_image_to_video")
 
 @pytest.mark.parametrize("name", OperationConfig.get_known_choices())
 def test_one_sentence_says_what_lerobots_command_has_edited_and_the_rest_opens(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, tmp_path: Path
 ):
     codec = "images" if name == "convert_image_to_video" else "h264"
     views = ("side",) if codec == "images" else ("side", "ego_depth")
@@ -60,8 +60,7 @@ def test_one_sentence_says_what_lerobots_command_has_edited_and_the_rest_opens(
         words += ["--new_repo_id=local/new", f"--operation.roots={json.dumps([str(root)] * 2)}"]
     else:
         words += ["--repo_id=local/d", f"--root={root}"]
-    monkeypatch.setattr("sys.argv", ["lerobot-edit-dataset", *words])
-    edit_dataset()
+    run(["lerobot-edit-dataset", *words])
     made = {path.parents[1] for path in tmp_path.rglob("meta/info.json")}
     edited = made if name in IN_PLACE else made - {root}
     assert len(edited) == {"split": 2, "info": 0}.get(name, 1)
