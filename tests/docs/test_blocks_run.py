@@ -136,7 +136,7 @@ def check_first_hour(folder: Path) -> None:
 GROUPS: dict[str, tuple[Callable[[Path], None] | None, Callable[[Path], None]]] = {
     "generate.md dataset.md lerobot.md": (None, check_data),
     "train.md evaluate.md policies.md contact.md benchmark.md": (None, check_results),
-    "README.md install.md environment.md extend.md play.md": (run_quickstart, check_first_hour),
+    "README.md install.md environment.md extend.md": (run_quickstart, check_first_hour),
 }
 """Pages that are played one after the other in one folder; what is done before, and what is checked
 afterwards."""
