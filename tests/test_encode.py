@@ -5,9 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from accelerate.state import AcceleratorState
 from lerobot.datasets import LeRobotDataset
-from lerobot.scripts.lerobot_train import main as lerobot_train
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.features import IMAGE_PREFIX
@@ -19,7 +17,7 @@ from dynahoi_lerobot.encode import SIGHTINGS_PREFIX, encode
 from dynahoi_lerobot.evaluate.checkpoint import trained_for
 from dynahoi_lerobot.world.detector import Detector
 from tests.conftest import Once
-from tests.tools import flip_byte, generated
+from tests.tools import flip_byte, generated, options, run
 
 
 @pytest.fixture(scope="module")
@@ -84,15 +82,6 @@ def test_verify_checks_what_is_left_of_it(encoded: Path, tmp_path: Path, capsys)
     assert main(["verify", str(root)]) == 1
 
 
-def test_files_that_lerobot_knows_nothing_of_are_kept(dataset: Path, tmp_path: Path):
-    root = shutil.copytree(dataset, tmp_path / "with")
-    out = tmp_path / "out"
-    (root / "meta/ours").mkdir()
-    (root / "meta/ours/notes.txt").write_text("kept")
-    assert main(["encode", str(root), str(out)]) == 0
-    assert (out / "meta/ours/notes.txt").read_text() == "kept"
-
-
 @pytest.fixture(scope="module")
 def with_state(dataset: Path, once: Once) -> Path:
     def make(out: Path) -> Path:
@@ -129,23 +118,18 @@ def test_what_was_seen_earlier_is_the_place_of_then(with_state: Path):
         np.testing.assert_array_equal(found[:length, 3 * column : 3 * column + 3], before)
 
 
-def test_act_learns_from_it_and_its_checkpoint_asks_environments_for_the_same(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_act_learns_from_it_and_its_checkpoint_asks_environments_for_the_same(tmp_path: Path):
     words = ("--image-size", "96", "--control-mode", "grasp")
     root = generated(tmp_path / "images", *words, episodes=2)
     with_state = tmp_path / "encoded"
     encode(root, with_state, environment_state=True)
     assert main(["verify", str(with_state)]) == 0
     small = {"dim_model": 16, "n_heads": 2, "dim_feedforward": 16, "chunk_size": 4}
-    words = [f"--policy.{key}={value}" for key, value in small.items()]
-    recipe = Path(__file__).parents[1] / "recipes/train/act.yaml"
-    words += [f"--config_path={recipe}", "--env=null", "--policy.device=cpu", "--num_workers=0"]
-    words += [f"--dataset.root={with_state}", f"--output_dir={tmp_path / 'act'}"]
-    words += ["--steps=2", "--save_freq=2", "--batch_size=4"]
-    monkeypatch.setattr("sys.argv", ["lerobot-train", *words])
-    AcceleratorState._reset_state(reset_partial_state=True)
-    lerobot_train()
+    given = {f"policy.{key}": value for key, value in small.items()}
+    given |= {"config_path": Path(__file__).parents[1] / "recipes/train/act.yaml", "env": None}
+    given |= {"policy.device": "cpu", "num_workers": 0, "dataset.root": with_state}
+    given |= {"output_dir": tmp_path / "act", "steps": 2, "save_freq": 2, "batch_size": 4}
+    run(["lerobot-train", *options(given)])
     told = trained_for(tmp_path / "act/checkpoints/last/pretrained_model")
     assert told["environment_state"] == "eye"
 

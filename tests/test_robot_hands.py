@@ -180,9 +180,7 @@ MISFITS: dict[str, Callable[[RobotHand], RobotHand]] = {
     "joints that no other finger has": with_finger(
         "little", joints=("lh_RFJ3", "lh_RFJ2", "lh_RFJ1")
     ),
-    "has the joints lh_LFJ3, lh_LFJ2, but": with_finger("little", joints=("lh_LFJ3", "lh_LFJ2")),
     "body of shadow_hand 'palm'": lambda hand: replace(hand, palm="palm"),
-    "site of shadow_hand 'lh_pad'": with_finger("thumb", tip="lh_pad"),
     "'my_model'.*`mujoco-menagerie names` lists": lambda hand: replace(hand, model="my_model"),
 }
 

@@ -1,5 +1,5 @@
-"""What tests of several parts need: Python in a process of its own, servers, plugins, small
-datasets, changed files.
+"""What tests of several parts need: Python in a process of its own, console scripts in this one,
+servers, plugins, small datasets, changed files.
 """
 
 import json
@@ -7,9 +7,10 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,31 @@ def python(*words: object, cwd: Path | None = None, **environment: str) -> str:
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
+
+
+def run(words: list[str]) -> None:
+    """Run a command in this process, as its console script does."""
+    from accelerate.state import AcceleratorState  # which takes long to import
+
+    AcceleratorState._reset_state(reset_partial_state=True)
+    (script,) = entry_points(group="console_scripts", name=words[0])
+    before = sys.argv
+    sys.argv = words
+    try:
+        code = script.load()()
+    except SystemExit as end:
+        code = end.code
+    finally:
+        sys.argv = before
+    assert not code, f"{' '.join(words)}: exit code {code}"
+
+
+def options(values: Mapping[str, object]) -> list[str]:
+    """Return options as LeRobot's commands take them, other values than texts as JSON."""
+    return [
+        f"--{name}={value if isinstance(value, str | Path) else json.dumps(value)}"
+        for name, value in values.items()
+    ]
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from dynahoi_lerobot.cli import main as cli
-from tests.verify.test_forgeries import DATA, ROWS, column
+from tests.verify.test_forgeries import DATA, column
 
 GENERATE = "generate --root made --episodes 1 --motions constant"
 CASES = [
@@ -31,20 +31,17 @@ CASES = [
     ),
     ("evaluate --policy hold --inference async --inference-ms 50", "'hold'"),
     ("evaluate --policy vlm", "--model NAME"),
-    ("evaluate --policy vlm --model m --request-timeout 0", "got 0"),
     ("evaluate --policy vlm --model m --protocol observe_then_blind", "observe_then_blind"),
     ("view --out x.gif", "--results DIR"),
     ("view --motion lob --thoughts --out x.gif", "--policy CHECKPOINT"),
     ("view --motion lob --image-size 0 --out x.gif", "--image-size is 0"),
     ("view --motion lob --out x.avi", "'.avi'"),
     ("view --motion lob --seed 46", "--seed must be 0 to 44"),
-    (f"view --motion lob --seed {2**40}", f"got {2**40}"),
     ("view --dataset DATASET --sample 1 --view side --out x.html", "'side'"),
     ("view --dataset DATASET --episode 6 --out x.gif", "--episode must be 0 to 5, got 6"),
     ("filter DATASET --out x --margin -1", "-1.0"),
     ("filter DATASET --out x --column velocity", "'velocity'"),
     ("filter DATASET --out x --drop=-1", "-1"),
-    ("filter DATASET --out x --drop first", "first"),
     ("filter DATASET", "--out DIR"),
     ("filter DATASET --out .", ". exists"),
     ("verify .", "is no LeRobot dataset"),
@@ -52,21 +49,16 @@ CASES = [
     ("verify x --json missing/summary.json", "missing/summary.json"),
     (f"{GENERATE} --dry-run", "--dry-run needs --executor"),
     (f"{GENERATE} --expert pursit", "'pursit' (did you mean 'pursuit'?)"),
-    (f"{GENERATE} --hand claw", "'claw'"),
-    (f"{GENERATE} --renderer gl", "'gl'"),
     (f"{GENERATE} --environment-state tru", "known: truth, eye"),
     (f"{GENERATE} --json .", "--json"),
     (f"{GENERATE} --episodes {10**30}", f"{10**30}"),
     (f"{GENERATE} --seed {2**40}", f"seed is {2**40}"),
     (f"{GENERATE} --image-size large", "'large'"),
     (f"{GENERATE} --shard-episodes 0", "episodes per shard is 0"),
-    (f"{GENERATE} --codec mpeg2", "'mpeg2'"),
     (f"{GENERATE} --crf 52", "crf is 52"),
     (f"{GENERATE} --codec images --preset fast", "'fast'"),
-    (f"{GENERATE} --workers 0", "got 0"),
     (f"{GENERATE} --recipe recipe.yaml", "motions must be a list, got 'lob'"),
     (f"{GENERATE} --actor nowhere", "'nowhere'"),
-    (f"{GENERATE} --actor user/name --trust", "'user/name'"),
 ]
 """A command, and what it says; a file recipe.yaml is there, and DATASET stands for one of six
 episodes."""
@@ -87,18 +79,9 @@ def test_one_sentence_names_what_was_received_and_what_is_allowed(
     assert [path.name for path in tmp_path.iterdir()] == ["recipe.yaml"]
 
 
-def overwrite(pattern: str) -> Callable[[Path], object]:
-    return lambda root: [path.write_bytes(b"{\xff") for path in root.glob(pattern)]
-
-
 DAMAGES: list[tuple[Callable[[Path], object], str]] = [
     (lambda root: (root / "meta/manifest.json").unlink(), "meta/manifest.json is missing"),
     (lambda root: shutil.rmtree(root / "data"), "there is no file in data"),
-    (overwrite("videos/*/*/*"), "file-000.mp4"),
-    (
-        column(ROWS, "length", lambda lengths: [0, *lengths[1:]]),
-        "places episode 0 at episode_index 0",
-    ),
     (column(DATA, "index", lambda numbers: numbers[::-1]), "holds its frames in another order"),
 ]
 

@@ -72,16 +72,6 @@ def test_an_evaluation_that_stopped_halfway_is_done_again(
     assert not partial.exists()
 
 
-def test_the_bars_show_what_lerobot_has_written(tmp_path: Path) -> None:
-    assert (quickstart._steps(tmp_path), quickstart._played(tmp_path)) == (0, 0)
-    for name in ("000080", "000120"):
-        (tmp_path / name).mkdir()
-    (tmp_path / "last").symlink_to("000120")
-    assert quickstart._steps(tmp_path) == 120
-    run = example_run(tmp_path / "results", "obact", skill=0.5)
-    assert quickstart._played(tmp_path / "results") == len(run.rows)
-
-
 def test_a_program_that_fails_is_named_with_its_log(tmp_path: Path) -> None:
     with progress_bar(total=1) as bar, pytest.raises(CommandError, match=r"lerobot_eval\.log"):
         quickstart.run_lerobot("eval", ["--no-such-option"], tmp_path, lambda: 1, bar)

@@ -35,14 +35,6 @@ def test_a_killed_process_loses_its_lock(tmp_path: Path):
     assert not (tmp_path / "lock").exists()
 
 
-def test_a_link_in_the_place_of_the_lock_is_not_followed(tmp_path: Path):
-    (tmp_path / "thesis.tex").write_text("mine")
-    (tmp_path / "lock").symlink_to(tmp_path / "thesis.tex")
-    with pytest.raises(FileExistsError), exclusive(tmp_path):
-        pass
-    assert (tmp_path / "thesis.tex").read_text() == "mine"
-
-
 def test_only_the_folder_of_the_same_task_is_entered(tmp_path: Path):
     folder = tmp_path / "work"
     foreign = tmp_path / "foreign"

@@ -3,7 +3,6 @@
 import json
 import os
 import shutil
-import signal
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -14,13 +13,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from lerobot.configs import PolicyFeature
 
-from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.reading import (
     ReadError,
     decoded,
-    fits,
     inside,
     read_arrays,
     read_json,
@@ -31,26 +27,9 @@ from dynahoi_lerobot.core.reading import (
 )  # fmt: skip
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store, open_dataset
-from dynahoi_lerobot.dataset.video import Encoding
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import read_results
-from tests.dataset.episodes import write
 from tests.synthetic import run_info, synthetic_episode, write_results
-from tests.verify.test_forgeries import EGO, column
-
-
-@pytest.fixture(autouse=True)
-def impatience() -> Iterator[None]:
-    """Nothing may wait for a writer of a pipe, or read a device to its end."""
-
-    def give_up(*_: object) -> None:
-        pytest.fail("it hangs")
-
-    before = signal.signal(signal.SIGALRM, give_up)
-    signal.alarm(60)
-    yield
-    signal.alarm(0)
-    signal.signal(signal.SIGALRM, before)
 
 
 @pytest.fixture(scope="module")
@@ -59,10 +38,6 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     info = run_info("me", extra={"inference": "sync"})
     write_results(folder, [synthetic_episode(seed, image_size=None) for seed in range(2)], info)
     return folder
-
-
-def play_nothing(folder: Path) -> None:
-    PolicyAgent(str(folder), "cpu")
 
 
 OPENERS: dict[str, tuple[Callable[[Path], object], list[str]]] = {
@@ -77,52 +52,39 @@ OPENERS: dict[str, tuple[Callable[[Path], object], list[str]]] = {
             "data/chunk-000/file-000.parquet",
         ],
     ),
-    "actor": (play_nothing, ["config.json", "model.safetensors", "policy_preprocessor.json"]),
+    "actor": (
+        lambda folder: PolicyAgent(str(folder)),
+        ["config.json", "model.safetensors", "policy_preprocessor.json"],
+    ),
 }
 """For each fixture that makes an artifact: what opens it, and its files."""
-PLACES = [
-    (artefact, opener, name) for artefact, (opener, names) in OPENERS.items() for name in names
-]
 
 
-def replace_by(make: Callable[[Path], object]) -> Callable[[Path], None]:
-    def replace(path: Path) -> None:
-        path.unlink()
-        make(path)
-
-    return replace
+def cut(path: Path) -> None:
+    os.truncate(path, path.stat().st_size // 2)
 
 
-HOSTILE: dict[str, Callable[[Path], object]] = {
-    "pipe": replace_by(os.mkfifo),
-    "device": replace_by(lambda path: path.symlink_to("/dev/zero")),
-    "cut": lambda path: os.truncate(path, path.stat().st_size // 2),
-    "deep": lambda path: path.write_text("[" * 100_000 + "]" * 100_000),
-}
+def pipe(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)
 
 
-@pytest.mark.parametrize("kind", HOSTILE)
-def test_no_place_takes_a_hostile_file(
-    kind: str, request: pytest.FixtureRequest, tmp_path: Path
+@pytest.mark.parametrize("damage", [cut, pipe])
+@pytest.mark.parametrize("artefact", OPENERS)
+def test_a_file_that_is_cut_or_no_file_is_one_sentence(
+    damage: Callable[[Path], None],
+    artefact: str,
+    request: pytest.FixtureRequest,
+    tmp_path: Path,
 ) -> None:
-    for number, (artefact, opener, name) in enumerate(PLACES):
-        whole = shutil.copytree(request.getfixturevalue(artefact), tmp_path / str(number))
-        HOSTILE[kind](whole / name)
+    opener, names = OPENERS[artefact]
+    for name in names:
+        whole = shutil.copytree(request.getfixturevalue(artefact), tmp_path / "copy")
+        damage(whole / name)
         with pytest.raises((ReadError, FileNotFoundError)) as refused:
             opener(whole)
         assert "\n" not in str(refused.value), name
         shutil.rmtree(whole)
-
-
-def test_an_image_that_names_a_file_in_place_of_its_bytes_is_refused(tmp_path, capsys):
-    root = write(tmp_path / "d", range(1), encoding=Encoding("images"))
-    path = root / "data/chunk-000/file-000.parquet"
-    os.mkfifo(tmp_path / "pipe")
-    named = {"bytes": None, "path": str(tmp_path / "pipe")}
-    column(path.relative_to(root), EGO, lambda images: [named] * len(images))(root)
-    words = ["view", "--dataset", str(root), "--episode", "0", "--out", str(tmp_path / "x.gif")]
-    assert main(words) == 2
-    assert str(path) in capsys.readouterr().err
 
 
 VALUES: list[Any] = [None, True, -1, 10**30, float("nan"), "x", [None], {"x": {}}, "\ud800"]
@@ -158,9 +120,7 @@ def test_a_wrong_value_anywhere_is_read_or_refused_but_no_fault(
             opener(root)
 
 
-@pytest.mark.parametrize(
-    "text", ['{"x": {"y": 1, "y": 2}}', "NaN", "1e999", "9" * 5000, "[" * 100_000, "{", "\xff"]
-)
+@pytest.mark.parametrize("text", ['{"x": {"y": 1, "y": 2}}', "NaN", "1e999", "[" * 100_000, "\xff"])
 def test_json_holds_finite_numbers_and_each_key_once(text: str, tmp_path: Path) -> None:
     path = tmp_path / "x.json"
     path.write_text(text, "latin-1")
@@ -174,22 +134,6 @@ def test_yaml_makes_no_objects_and_holds_each_key_once(tmp_path: Path) -> None:
         path.write_text(text)
         with pytest.raises(ReadError, match=r"x\.yaml cannot be read"):
             read_yaml(path)
-
-
-@pytest.mark.parametrize(
-    ("value", "hint", "fitting"),
-    [
-        (3, float, True),
-        (True, int, False),
-        (None, int | None, True),
-        ({"x": [True]}, dict[str, list[int]], False),
-        ([1], tuple[int, int], False),
-        ({"type": "STATE", "shape": [18]}, PolicyFeature, True),
-        ({"type": "SMELL", "shape": [18]}, PolicyFeature, False),
-    ],
-)
-def test_a_value_has_the_type_that_is_declared(value: object, hint: Any, fitting: bool) -> None:
-    assert fits(value, hint) == fitting
 
 
 @dataclass(frozen=True)
@@ -215,7 +159,8 @@ def test_values_become_a_dataclass_or_a_sentence_with_key_and_value() -> None:
         ({"inner": {"sizes": [1, "two"]}}, "sizes.1 .*integer.*'two'"),
         ({"name": 3}, "name .*string.*3"),
         ({"share": 2}, "share must be 0 to 1, got 2"),
-        ({"name": None}, "name"),
+        ({"share": "1"}, "share .*number.*'1'"),
+        ({"inner": {"sizes": [True]}}, "sizes.0 .*integer.*True"),
     ):
         with pytest.raises((TypeError, ValueError), match=sentence):
             validated(Outer, values | changes)
@@ -240,16 +185,12 @@ def test_tables_that_lack_or_repeat_a_column_are_refused(tmp_path: Path) -> None
         read_table(path)
 
 
-def test_honest_tables_and_arrays_are_read(tmp_path: Path) -> None:
-    rows = [
-        {"a.b": [1.0, 2.0], "text": ["x", None], "image": {"bytes": b"y" * 100}}
-        for _ in range(1000)
-    ]
-    pq.write_table(pa.Table.from_pylist(rows), path := tmp_path / "x.parquet")
+def test_tables_of_many_rows_are_read_whole(tmp_path: Path) -> None:
+    rows = [{"a.b": [1.0, 2.0 * i], "text": ["x", None]} for i in range(200)]
+    path = tmp_path / "x.parquet"
+    pq.write_table(pa.Table.from_pylist(rows), path)
     assert list(read_rows(path)) == read_table(path).to_pylist() == rows
-    assert list(read_rows(path, ["text"])) == [{"text": ["x", None]}] * 1000
-    np.savez(path := tmp_path / "x.npz", a=np.arange(6.0).reshape(2, 3).T, b=np.array(3))
-    assert read_arrays(path, ["a", "b"])["a"].tolist() == [[0, 3], [1, 4], [2, 5]]
+    assert list(read_rows(path, ["text"])) == [{"text": ["x", None]}] * 200
 
 
 def test_arrays_that_run_code_or_hold_no_numbers_are_refused(tmp_path: Path) -> None:
@@ -261,16 +202,14 @@ def test_arrays_that_run_code_or_hold_no_numbers_are_refused(tmp_path: Path) -> 
 
 
 def test_names_in_files_stay_in_their_folder_or_the_hubs_cache(tmp_path: Path) -> None:
-    repo = tmp_path / "models--you--x"
-    folder = repo / "snapshots" / "c0ffee"
-    for place in (folder, repo / "blobs"):
-        place.mkdir(parents=True)
-    (repo / "blobs" / "b10b").touch()
+    folder = tmp_path / "models--you--x" / "snapshots" / "c0ffee"
+    blob = tmp_path / "models--you--x" / "blobs" / "b10b"
+    for path in (folder / "weights", folder / "stolen", blob):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    blob.touch()
     (folder / "weights").symlink_to("../../blobs/b10b")
     (folder / "stolen").symlink_to("/etc/passwd")
-    (tmp_path / "link").symlink_to(folder)
-    for root in (folder, tmp_path / "link"):
-        assert inside(root, "weights").samefile(repo / "blobs" / "b10b")
-        for name in ("stolen", "../x", "/etc/passwd", "../../blobs/b10b", "", ".", "a\0", None, 3):
-            with pytest.raises(ReadError, match="not inside"):
-                inside(root, name)
+    assert inside(folder, "weights").samefile(blob)
+    for name in ("stolen", "../x", "/etc/passwd", "../../blobs/b10b", ".", "a\0", None):
+        with pytest.raises(ReadError, match="not inside"):
+            inside(folder, name)

@@ -2,11 +2,8 @@
 from.
 """
 
-import importlib
 import json
-import logging
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -42,6 +39,8 @@ from tests.tools import generated
 
 SEEDS = range(4)
 REPO = "local/dataset"
+IMAGES = "observation.images.ego"
+MOMENTS = ("min", "max", "mean", "std", "count")
 
 
 def write_with_lerobot(root: Path, episodes: list[Episode], encoding) -> None:
@@ -135,15 +134,16 @@ def test_episode_rows_are_the_same_where_lerobot_has_them(pair):
         )
 
 
-def test_dataset_statistics_are_the_same_but_for_pinned_quantiles(pair):
+def test_dataset_statistics_are_the_same_but_for_pinned_quantiles_of_columns(pair):
     ours, theirs = (load(root, "meta/stats.json") for root in pair)
     assert set(ours) == set(theirs)
     for key, stats in theirs.items():
         for name, value in stats.items():
             assert np.shape(ours[key][name]) == np.shape(value)
-            if name in ("min", "max", "mean", "std", "count"):
+            if name in MOMENTS or key == IMAGES:
+                atol = 3e-4 if name in MOMENTS else 1 / 4900
                 np.testing.assert_allclose(
-                    ours[key][name], value, atol=3e-4, err_msg=f"{key} {name}"
+                    ours[key][name], value, atol=atol, err_msg=f"{key} {name}"
                 )
 
 
@@ -179,20 +179,6 @@ def test_opens_and_its_episode_columns_can_be_filtered_and_read(dataset):
     assert (chosen.episodes, chosen.num_frames) == ([4, 5], LENGTHS[4] + LENGTHS[5])
     assert chosen.meta.episodes[4]["object"] == "ball"
     check_images(chosen, 0, 4, 0)
-
-
-def test_opening_says_nothing_where_torchcodec_is_unusable(dataset, monkeypatch, caplog):
-    def load(name: str, package: str | None = None) -> ModuleType:
-        if name == "torchcodec":
-            raise RuntimeError("Could not load libtorchcodec")
-        return real(name, package)
-
-    real = importlib.import_module
-    monkeypatch.setattr(importlib, "import_module", load)
-    open_dataset(dataset)
-    assert not [entry for entry in caplog.records if entry.levelno >= logging.WARNING]
-    LeRobotDataset(REPO, root=dataset)
-    assert "libtorchcodec" in caplog.text, "others hear of it as before"
 
 
 def test_windows_over_time_stay_within_the_episode(dataset):
@@ -235,7 +221,7 @@ def test_a_reader_that_takes_names_of_statistics_apart_gets_those_of_the_dataset
                 stats.setdefault(feature, {})[statistic] = np.array(cell)
     for feature, told in load(dataset, "meta/stats.json").items():
         pooled = aggregate_stats(found)[feature]
-        for name in ("min", "max", "mean", "std", "count"):
+        for name in MOMENTS:
             np.testing.assert_allclose(pooled[name], told[name], atol=1e-6, err_msg=feature)
 
 

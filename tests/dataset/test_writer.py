@@ -76,8 +76,6 @@ def test_columns_that_some_recordings_lack_come_back_where_they_were(tmp_path, m
     ("first", "second", "column"),
     [
         (with_touch(0), varied_episode(1, None), "observation.touch"),
-        (varied_episode(0, None), with_touch(1), "observation.touch"),
-        (varied_episode(0), varied_episode(1, None), "observation.images.ego"),
         (varied_episode(0), varied_episode(1, 32, ("side",)), "observation.images.side"),
         (varied_episode(0), varied_episode(1, 16), "observation.images.ego"),
     ],
@@ -123,7 +121,7 @@ def test_what_is_no_dataset_or_would_replace_one_is_refused_and_leaves_nothing(t
     assert hash_files(dataset) == before
 
 
-@pytest.mark.parametrize("name", ["a[b]", "a*", "a?", "a::b", "a[b]/d"])
+@pytest.mark.parametrize("name", ["a[b]/d", "a*", "a?", "a::b"])
 def test_a_path_that_lerobot_takes_for_a_pattern_is_refused_and_nothing_is_made(
     tmp_path, dataset, name
 ):
@@ -166,7 +164,6 @@ def test_a_copy_of_some_episodes_gives_the_bytes_of_writing_them(tmp_path):
 @pytest.mark.parametrize(
     ("other", "column"),
     [
-        ({"image_size": 16}, "observation.images.ego"),
         ({"subtasks": True}, "language_persistent"),
         ({"views": ("side",)}, "observation.images.side"),
     ],

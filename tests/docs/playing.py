@@ -13,10 +13,8 @@ from dataclasses import dataclass, field
 from importlib.metadata import entry_points
 from pathlib import Path
 
-from accelerate.state import AcceleratorState
-
 from tests.docs.documents import ROOT, Block
-from tests.tools import python
+from tests.tools import python, run
 
 LINKED = ("recipes", "envs", "checkpoints", "policies", "benchmarks")
 """Folders of the repository that commands name."""
@@ -121,21 +119,6 @@ def small(words: list[str]) -> list[str]:
     added = FEWER.get(command, []) if not given & {"--replay", "--dry-run"} else []
     added = added + [extra for key, more in FEWER_WITH.items() if key in words for extra in more]
     return words + fewer + [word for word in added if word.partition("=")[0] not in given]
-
-
-def run(words: list[str]) -> None:
-    """Run a command in this process, as its console script does."""
-    AcceleratorState._reset_state(reset_partial_state=True)
-    (script,) = entry_points(group="console_scripts", name=words[0])
-    before = sys.argv
-    sys.argv = words
-    try:
-        code = script.load()()
-    except SystemExit as end:
-        code = end.code
-    finally:
-        sys.argv = before
-    assert not code, f"{' '.join(words)}: exit code {code}"
 
 
 def run_elsewhere(words: list[str], environment: dict[str, str]) -> None:

@@ -2,7 +2,6 @@
 what it should.
 """
 
-import importlib
 import json
 import os
 import subprocess
@@ -18,9 +17,10 @@ import yaml
 from dynahoi_lerobot.cli import quickstart
 from dynahoi_lerobot.evaluate.results import read_results
 from tests.docs.documents import ROOT, Block, Page, pages
-from tests.docs.playing import Player, prepare, run
+from tests.docs.playing import Player, prepare
 from tests.hub.server import TOKEN
 from tests.hub.server import serving as serving_hub
+from tests.tools import run
 from tests.vlm.server import serving as serving_model
 
 DATA_FORMATS = {"json": json.loads, "yaml": yaml.safe_load, "toml": tomllib.loads}
@@ -53,11 +53,6 @@ def test_every_block_has_a_language_that_is_tested(page: Page):
         )
         if block.language in DATA_FORMATS:
             assert DATA_FORMATS[block.language](block.body)
-
-
-def test_every_block_that_is_not_run_has_a_reason_that_holds():
-    needs = {block.need for page in PAGES.values() for block in page.all_blocks}
-    assert needs == {"", *REASONS}
 
 
 def test_every_page_with_programs_is_played():
@@ -141,23 +136,16 @@ def check_first_hour(folder: Path) -> None:
 GROUPS: dict[str, tuple[Callable[[Path], None] | None, Callable[[Path], None]]] = {
     "generate.md dataset.md lerobot.md": (None, check_data),
     "train.md evaluate.md policies.md contact.md benchmark.md": (None, check_results),
-    "README.md install.md environment.md extend.md play.md": (run_quickstart, check_first_hour),
+    "README.md install.md environment.md extend.md": (run_quickstart, check_first_hour),
 }
 """Pages that are played one after the other in one folder; what is done before, and what is checked
 afterwards."""
-REASONS: dict[str, Callable[[], bool]] = {
-    "needs FFmpeg's libraries": lambda: not _torchcodec_works(),
-    "waits for a person or the clock": lambda: True,
-    "needs the file above in the checkout; tests/docs/test_worked_example.py does that in "
-    "a copy": lambda: True,
-    "needs the table above in the checkout; tests/test_robot_hands.py tries the tables that "
-    "there are": lambda: True,
-}
-"""Why a block is not run, and whether that holds here."""
 
 
 def programs(page: Page) -> list[Block]:
-    return [block for block in page.all_blocks if block.file or block.language in PROGRAMS]
+    """Blocks that are run; a comment before others says what they need."""
+    found = [block for block in page.all_blocks if block.file or block.language in PROGRAMS]
+    return [block for block in found if not block.need]
 
 
 @pytest.mark.nightly
@@ -174,16 +162,8 @@ def test_every_program_and_command_runs(
         before(tmp_path)
     for page in group.split():
         for number, block in enumerate(programs(PAGES[page])):
-            if not (block.need and REASONS[block.need]()):
-                with subtests.test(page=page, block=number):
-                    start = time.monotonic()
-                    player.play(block)
-                    print(f"{page} {number}: {time.monotonic() - start:.1f} s")
+            with subtests.test(page=page, block=number):
+                start = time.monotonic()
+                player.play(block)
+                print(f"{page} {number}: {time.monotonic() - start:.1f} s")
     check(tmp_path)
-
-
-def _torchcodec_works() -> bool:
-    try:
-        return bool(importlib.import_module("torchcodec"))
-    except (RuntimeError, OSError):
-        return False

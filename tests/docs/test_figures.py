@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 import tables
-from jinja2 import UndefinedError
 from support.options import pinned_benchmark
 
 TODAY = {"command": "measure", "commit": "abc", "processor": "P", "benchmark": pinned_benchmark()}
@@ -53,14 +52,7 @@ def test_a_stale_figure_bears_a_mark_and_its_footnote(tmp_path: Path):
     (tmp_path / "f.json").write_text(json.dumps({"rows": rows}))
     found = tables.rendered(page, tmp_path)
     assert "| 1.2 [1.0, 2.0] | 25† |\n\n† Of v1.\n" in found
-    empty = {"value": None, "low": None, "high": None, "unit": "fraction", "n": 0}
-    (tmp_path / "f.json").write_text(json.dumps({"rows": rows | {"a": empty}}))
-    assert "|  | 25† |" in tables.rendered(page, tmp_path), "what does not apply is empty"
-    (tmp_path / "f.json").write_text(json.dumps({"rows": rows}))
     assert tables.rendered(found, tmp_path) == found
-    (tmp_path / "f.json").write_text(json.dumps({"rows": {"a": rows["a"]}}))
-    with pytest.raises(UndefinedError, match="'b'"):
-        tables.rendered(page, tmp_path)
 
 
 def test_figures_of_another_benchmark_of_other_weights_and_without_provenance_are_found():

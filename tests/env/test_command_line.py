@@ -29,18 +29,15 @@ def checked(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture):
     ("words", "named"),
     [
         (["--env.task=lobb"], "unknown task 'lobb' (did you mean 'lob'?)"),
-        (["--env.task", "lob,nothing"], "'nothing'"),
         (["--env.hand=claw"], "'claw'"),
         (["--env.image_size=-3"], "-3"),
         (["--env.max_parallel_tasks=2"], "got 2"),
         (["--env.fps=30"], "env.fps must be 20"),
         (["--env.disable_env_checker=false"], "env.disable_env_checker must be true"),
         (["--env.features", "{}"], "env.features cannot be set"),
-        (["--env.features_map={}"], "env.features_map cannot be set"),
         (["--env.n_action_steps=4"], "env.n_action_steps is read with env.inference=async"),
         (["--env.latency_ms=150"], "with mode sync the world waits"),
         (["--policy.path=no/such/folder"], "'no/such/folder'"),
-        (["--policy.path=nothing"], "'nothing'"),
         ([f"--policy.path={SHIPPED.parent}"], "holds no policy"),
     ],
 )

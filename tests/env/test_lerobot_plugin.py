@@ -20,7 +20,6 @@ from lerobot.envs.utils import (
     env_to_policy_features,
     preprocess_observation,
 )
-from lerobot.scripts.lerobot_eval import main as lerobot_eval
 from lerobot.utils.import_utils import register_third_party_plugins
 from lerobot_env_dynahoi import command_line
 from lerobot_env_dynahoi.command_line import Launch, read_launch
@@ -37,7 +36,7 @@ from dynahoi_lerobot.sampling.salt import stream_label
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.checkpoints import FEATURES, SHIPPED, tiny_act
-from tests.tools import edit_json
+from tests.tools import edit_json, options, run
 
 SMALL = {"image_size": 32, "split": "test_small"}
 SALT = "nobody-shall-know-it"
@@ -52,11 +51,9 @@ def test_one_suite_per_category_one_task_per_kind() -> None:
     assert all(sorted(suite) == list(range(len(suite))) for suite in suites.values())
 
 
-def test_lerobots_loop_fills_the_result_folder(
-    act: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    options = ("--env.split=test_small", "--eval.n_episodes=5", f"--env.salt={SALT}")
-    results = through_lerobot(act, tmp_path, monkeypatch, *options)
+def test_lerobots_loop_fills_the_result_folder(act: Path, tmp_path: Path) -> None:
+    words = ("--env.split=test_small", "--eval.n_episodes=5", f"--env.salt={SALT}")
+    results = through_lerobot(act, tmp_path, *words)
     assert [row["kind"] for row in results.rows] == ["constant"] * 5, (
         "the sixth is the first again, and counts once"
     )
@@ -70,15 +67,15 @@ def test_lerobots_loop_fills_the_result_folder(
     )
 
 
-def test_lerobots_loop_and_ours_give_the_same_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_lerobots_loop_and_ours_give_the_same_rows(tmp_path: Path):
     """Of a policy that samples, in worlds of its own here and together there."""
-    options = (
+    words = (
         "--env.task=constant,lob",
         "--env.split=val",
         "--env.image_size=96",
         "--eval.batch_size=1",
     )
-    found = through_lerobot(SHIPPED, tmp_path, monkeypatch, *options, "--eval.n_episodes=1")
+    found = through_lerobot(SHIPPED, tmp_path, *words, "--eval.n_episodes=1")
     agent = PolicyAgent(str(SHIPPED), "cpu")
     recipe = found.recipe()
     specs = sample_specs(recipe, [row["seed"] for row in found.rows])
@@ -101,26 +98,6 @@ def test_lerobots_loop_and_ours_give_the_same_rows(tmp_path: Path, monkeypatch: 
     assert [s for task in tasks for s in task["metrics"]["successes"]] == [
         row["success"] for row in found.rows
     ]
-
-
-def test_rows_lie_in_the_order_of_the_split_though_lerobot_plays_kind_by_kind(
-    act: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    options = ("--env.task=lob,constant", "--env.split=val", "--eval.n_episodes=4")
-    found = through_lerobot(act, tmp_path, monkeypatch, *options)
-    seeds = [row["seed"] for row in found.rows]
-    assert seeds == sorted(seeds)
-    kinds = [row["kind"] for row in found.rows]
-    assert kinds == ["constant", "lob"] * 4, "kinds take turns in the split"
-
-
-@pytest.mark.parametrize(
-    "option", [{"renderer": "tilez"}, {"hand": "claw"}, {"max_parallel_tasks": 2}]
-)
-def test_what_cannot_be_played_is_refused_by_the_config(option: dict):
-    (value,) = option.values()
-    with pytest.raises(ValueError, match=str(value)):
-        DynahoiEnvConfig(**SMALL, **option)
 
 
 def test_features_are_the_datasets_and_further_views_reach_the_policy(tmp_path: Path) -> None:
@@ -213,45 +190,25 @@ def test_a_checkpoint_is_played_under_the_rules_it_was_trained_for(tmp_path, mon
     assert plain.create_envs(1)["projectile"][0].recipe.rules.control_class == "standard"
 
 
-def test_a_policy_of_two_cameras_gets_both(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(
-        "sys.argv", ["lerobot-eval", f"--policy.path={SHIPPED.with_name('obact_two')}"]
-    )
-    options = {"task": "lob", "results_dir": str(tmp_path / "out")}
-    both = DynahoiEnvConfig(**options).create_envs(1)["projectile"][0]
-    assert both.recipe.rules.views == ("side",)
-    assert "views side" in capsys.readouterr().out
-    one = DynahoiEnvConfig(views=(), **options).create_envs(1)["projectile"][0]
-    assert one.recipe.rules.views == ()
-
-
 @pytest.fixture(scope="module")
 def act(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tiny_act(tmp_path_factory.mktemp("act"), FEATURES["input_features"])
 
 
-def through_lerobot(
-    policy: Path, out: Path, monkeypatch: pytest.MonkeyPatch, *options: str
-) -> Results:
+def through_lerobot(policy: Path, out: Path, *words: str) -> Results:
     given = {
-        "--policy.path": policy,
-        "--env.type": "dynahoi",
-        "--env.task": "constant",
-        "--env.image_size": 32,
+        "policy.path": policy,
+        "env.type": "dynahoi",
+        "env.task": "constant",
+        "env.image_size": 32,
+        "env.results_dir": out,
+        "output_dir": out / "lerobot",
+        "seed": 0,
+        "eval.batch_size": 2,
+        "eval.n_episodes": 2,
+        "eval.use_async_envs": False,
     }
-    given |= {
-        "--env.results_dir": out,
-        "--output_dir": out / "lerobot",
-        "--seed": 0,
-        "--eval.batch_size": 2,
-    }
-    given |= {"--eval.n_episodes": 2, "--eval.use_async_envs": "false"} | dict(
-        word.split("=") for word in options
-    )
-    monkeypatch.setattr(
-        sys, "argv", ["lerobot-eval", *(f"{name}={value}" for name, value in given.items())]
-    )
-    lerobot_eval()
+    run(["lerobot-eval", *options(given), *words])
     return read_results(out)
 
 
@@ -264,11 +221,11 @@ QUEUES = {"act": [], "actor": ["--policy.n_action_steps=6", "--policy.inference_
 
 @pytest.mark.parametrize("policy", QUEUES)
 def test_a_policy_with_a_queue_plays_as_with_whole_chunks(
-    policy: str, request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    policy: str, request: pytest.FixtureRequest, tmp_path: Path
 ):
     """The same actions as by ``dynahoi evaluate --inference async --inference-ms 150``."""
     checkpoint = request.getfixturevalue(policy)
-    found = through_lerobot(checkpoint, tmp_path, monkeypatch, *LATE, *QUEUES[policy])
+    found = through_lerobot(checkpoint, tmp_path, *LATE, *QUEUES[policy])
     assert found.info.extra["inference"] == "async 150 ms"
     late = Inference("async", 150.0)
     recipe = found.recipe()
@@ -284,9 +241,9 @@ def test_a_policy_with_a_queue_plays_as_with_whole_chunks(
         assert np.ptp(actions, axis=0).max() > 0.01, "the hand moves"
 
 
-def test_a_policy_with_another_queue_cannot_be_late(act: Path, tmp_path, monkeypatch):
+def test_a_policy_with_another_queue_cannot_be_late(act: Path, tmp_path: Path):
     with pytest.raises(ValueError, match="n_action_steps is 5, but the policy's is 8"):
-        through_lerobot(act, tmp_path, monkeypatch, *LATE, "--env.n_action_steps=5")
+        through_lerobot(act, tmp_path, *LATE, "--env.n_action_steps=5")
 
 
 def test_without_a_command_line_the_length_of_the_queue_must_be_told():

@@ -3,7 +3,6 @@
 import sys
 import threading
 import time
-from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
@@ -16,7 +15,7 @@ from lerobot_policy_obact import ObActPolicy, launch_policy_server
 from lerobot_robot_dynahoi import DynahoiRobotConfig
 
 from dynahoi_lerobot.evaluate.results import METRICS_FILE, Results, read_results
-from tests.tools import generated
+from tests.tools import generated, run
 
 ROBOT = (
     "--robot.type=dynahoi",
@@ -32,13 +31,7 @@ TASK = "Catch the object."
 def lerobot(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     """Run one of LeRobot's console scripts in this process, in an empty folder."""
     monkeypatch.chdir(tmp_path)
-
-    def run(name: str, *options: str) -> None:
-        (script,) = entry_points(group="console_scripts", name=f"lerobot-{name}")
-        monkeypatch.setattr(sys, "argv", [f"lerobot-{name}", *options])
-        script.load()()
-
-    return run
+    return lambda name, *words: run([f"lerobot-{name}", *words])
 
 
 def recording(name: str, episodes: int = 1, seconds: float = 1.0) -> list[str]:

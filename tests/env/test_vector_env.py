@@ -16,7 +16,6 @@ from gymnasium.wrappers import vector as vector_wrappers
 from lerobot_env_dynahoi.task_env import ResultsLog, TaskEnv
 
 from dynahoi_lerobot.core.episode import closure, potential
-from dynahoi_lerobot.core.protocols import is_acting
 from dynahoi_lerobot.env import DynahoiEnv, DynahoiVectorEnv
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.metrics import METRICS
@@ -25,7 +24,6 @@ from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.rollout.recording import Recording
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.splits import kind_seed
-from dynahoi_lerobot.world.batch import WorldBatch
 from tests.tools import python
 
 SMALL = {"image_size": 16}
@@ -83,18 +81,6 @@ def test_a_catch_ends_the_episode_with_reward_success_and_every_metric() -> None
         assert sum(r[1][world] for r in results) == 1.0
         for name in METRICS.names():
             np.testing.assert_array_equal(info["_" + name], ~np.isnan(info[name]))
-
-
-def test_the_mask_of_a_metric_is_false_where_it_does_not_apply() -> None:
-    env = DynahoiVectorEnv(2, kind="constant", **BLIND, capture="contact")
-    env.reset(seed=[0, 1], options={"lerobot_new_rollout": True})
-    ended = np.zeros(2, bool)
-    while not ended.all():
-        _, _, terminated, truncated, info = env.step(np.zeros((2, 18), np.float32))
-        for world in np.flatnonzero((terminated | truncated) & ~ended):
-            assert np.isnan(info["S_joint"][world])
-            assert (info["_S_joint"][world], info["_S_hold"][world]) == (False, True)
-        ended |= terminated | truncated
 
 
 def test_the_single_envs_info_has_the_same_keys_and_types_at_every_step() -> None:
@@ -268,19 +254,13 @@ def test_seeds_number_the_episodes_of_kind_and_split() -> None:
 
 def test_the_first_episodes_are_played_over_and_over() -> None:
     env = DynahoiVectorEnv(2, split="train", kind="lob", episodes=3, **BLIND)
-    whole = DynahoiVectorEnv(2, split="train", kind="lob", **BLIND)
     env.reset(seed=4)
-    whole.reset(seed=[1, 2])
-    for some, others in zip(env._batch.specs, whole._batch.specs, strict=True):
-        np.testing.assert_equal(vars(some), vars(others))
     hand = np.zeros(env.action_space.shape, np.float32)
     seeds = set()
     for _ in range(200):
         env.step(hand)
         seeds |= {spec.seed for spec in env._batch.specs}
     assert seeds == {kind_seed(env.recipe, "lob", number) for number in range(3)}
-    env.close()
-    whole.close()
     with pytest.raises(ValueError, match="at least 1, or None for all, got 0"):
         DynahoiVectorEnv(2, episodes=0)
 
@@ -289,61 +269,10 @@ def test_bad_actions_are_refused_and_nothing_moves() -> None:
     env = DynahoiVectorEnv(1, **BLIND)
     env.reset(seed=[0])
     before = env._batch._batch.state.copy()
-    for action in (
-        np.zeros((2, 18)),
-        np.zeros((1, 17)),
-        *(np.full((1, 18), bad) for bad in (np.nan, 1j, "0.5")),
-    ):
+    for action in (np.zeros((1, 17)), np.full((1, 18), np.nan), np.full((1, 18), "0.5")):
         with pytest.raises(ValueError, match="action"):
             env.step(action)
         np.testing.assert_array_equal(env._batch._batch.state, before)
-
-
-def promise(batch: WorldBatch) -> np.ndarray:
-    """(N,) what the dense reward is the change of."""
-    distance_m = np.linalg.norm(batch.target_pose_h[:, :3] - batch.state[:, :3], axis=1)
-    opened = np.stack([spec.open_joints for spec in batch.specs])
-    reference = np.stack([spec.reference_joints for spec in batch.specs])
-    return potential(distance_m, closure(batch.state[:, 3:], opened, reference))
-
-
-def played(
-    env: DynahoiVectorEnv, *, expert: bool
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Play one episode a world; return rewards, whether it acts and potentials (T, N) each, and
-    successes (N,).
-    """
-    observation, _ = env.reset(seed=0, options={"lerobot_new_rollout": True})
-    batch = env._batch
-    rewards = []
-    phases = []
-    potentials = []
-    ended = np.zeros(env.num_envs, bool)
-    success = np.zeros(env.num_envs, bool)
-    while not ended.all():
-        phases.append(is_acting(observation["phase"]))
-        potentials.append(promise(batch))
-        command = observation["agent_pos"]
-        if expert:
-            command = Intercept().act(batch.world_state(batch.observe(images=False)))
-        observation, reward, terminated, truncated, info = env.step(command.astype(np.float32))
-        rewards.append(np.where(ended, 0.0, reward))
-        success |= info["is_success"]
-        ended |= terminated | truncated
-    potentials.append(promise(batch))
-    return np.array(rewards), np.array(phases), np.array(potentials), success
-
-
-@pytest.mark.parametrize("expert", [True, False])
-def test_the_sum_is_the_change_of_the_potential_and_the_success(expert: bool):
-    env = DynahoiVectorEnv(2, kind="constant", reward="dense", image_size=0, threads=1)
-    rewards, phases, potentials, success = played(env, expert=expert)
-    assert (rewards[~phases] == 0).all(), "nothing can be done in the observation window"
-    first = phases.argmax(axis=0)
-    for world in range(2):
-        gained = potentials[-1, world] - potentials[first[world], world]
-        assert rewards[:, world].sum() == pytest.approx(gained + success[world], abs=0.05)
-    assert success.tolist() == [expert, expert]
 
 
 @pytest.mark.parametrize("capture", ["attach", "contact"])
@@ -353,6 +282,7 @@ def test_a_recording_holds_the_dense_reward_of_the_environment(capture: str):
     env = DynahoiEnv(recipe=recording.recipe, reward="dense")
     env.reset(seed=3)
     rewards = np.array([env.step(action)[1] for action in episode.given_action])
+    assert (rewards[: episode.meta.window_frames] == 0).all(), "nothing can be done in the window"
     won = episode.succeeded.argmax()
     assert rewards[won + 1] > 0.9, "of the first step that begins in a frame of success"
     rewards[won + 1] -= 1
@@ -430,11 +360,11 @@ def test_a_closed_env_says_so(make: Callable) -> None:
 def test_seeds_are_whole_numbers_below_two_to_the_forty_one_for_each_world() -> None:
     one = single(image_size=0)
     two = vector(image_size=0)
-    for seed in (-1, 1.5, "3", 2**40, True, np.float64(2.0)):
-        for env, given in ((one, seed), (two, seed), (two, [0, seed])):
+    for seed in (-1, 1.5, 2**40, True):
+        for env, given in ((one, seed), (two, [0, seed])):
             with pytest.raises(ValueError, match="a seed must be an integer"):
                 env.reset(seed=given)
-    for seed in (4, np.int64(4), [4, 5], np.array([4, 5]), (4, 5)):
+    for seed in (np.int64(4), [4, 5], np.array([4, 5])):
         two.reset(seed=seed)
         assert two._numbers.tolist() == [4, 5]
     two.reset(seed=[None, 2**40 - 1])

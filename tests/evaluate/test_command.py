@@ -7,7 +7,6 @@ import json
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
 from dynahoi_lerobot.cli.main import main
@@ -17,7 +16,7 @@ from tests.checkpoints import tiny_diffusion
 HOLD = ["evaluate", "--policy", "hold", "--episodes", "2"]
 
 
-@pytest.mark.parametrize("name", ["thesis.tex", "metrics.json", "actions.npz"])
+@pytest.mark.parametrize("name", ["thesis.tex", "metrics.json"])
 def test_files_of_somebody_else_stay_as_they_are(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -66,33 +65,6 @@ def test_a_full_disk_is_one_sentence_and_the_run_resumes(tmp_path, monkeypatch, 
     assert calls == [2, 4, 4]
     assert sorted(row["seed"] for row in read_results(tmp_path).rows) == [0, 1, 2, 3]
     assert not list(tmp_path.glob(".*.part"))
-
-
-def test_rows_lie_in_the_order_of_the_split_whoever_plays_and_whatever_is_interrupted(
-    tmp_path: Path, monkeypatch
-):
-    """Seven episodes in worlds of different sizes end in another order for each policy."""
-    words = ["evaluate", "--episodes", "7", "--image-size", "0"]
-    for policy in ("pursuit", "expert"):
-        out = tmp_path / policy
-        assert main([*words, "--policy", policy, "--batch-size", "3", "--out", str(out)]) == 0
-    write = Results.write
-
-    def killed(results: Results) -> None:
-        write(results)
-        raise KeyboardInterrupt
-
-    resumed = [*words, "--policy", "pursuit", "--batch-size", "4", "--out", str(tmp_path / "part")]
-    with monkeypatch.context() as patch:
-        patch.setattr(Results, "write", killed)
-        assert main(resumed) == 130
-    assert main(resumed) == 0
-    for name in ("pursuit", "expert", "part"):
-        seeds = pq.read_table(tmp_path / name / "episodes.parquet")["seed"].to_pylist()
-        assert seeds == list(range(7))
-        with np.load(tmp_path / name / "actions.npz") as archive:
-            assert archive["seed"].tolist() == seeds
-    assert read_results(tmp_path / "part").rows == read_results(tmp_path / "pursuit").rows
 
 
 def test_clips_are_of_the_first_episodes_of_the_split_whichever_end_first(tmp_path: Path):

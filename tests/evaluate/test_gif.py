@@ -1,7 +1,6 @@
 """GIFs: size, timing, borders, captions, and what is refused."""
 
 import io
-from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageSequence
@@ -11,10 +10,7 @@ from dynahoi_lerobot.evaluate.gif import (
     BORDERS,
     CAPTION_PX,
     encode_gif,
-    episode_gif,
-    phases_of,
 )
-from tests.synthetic import synthetic_episode
 
 FRAMES = np.random.default_rng(0).integers(0, 255, (5, 12, 16, 3), np.uint8)
 
@@ -68,12 +64,3 @@ def test_a_small_target_keeps_its_colour():
     frames[:, 20:24, 30:34] = target = (220, 40, 160)
     for page in pages(encode_gif(frames)):
         assert np.abs(np.array(page.getpixel((32, 22))) - target).max() < 12
-
-
-def test_an_episode_is_shown_at_a_readable_size(tmp_path: Path):
-    episode = synthetic_episode(frames=40, image_size=32)
-    assert phases_of(episode)[:9] == ["observing"] * 8 + ["acting"]
-    assert phases_of(episode)[-1] == "localized"
-    episode_gif(tmp_path / "episode.gif", episode)
-    (first, *_) = pages((tmp_path / "episode.gif").read_bytes())
-    assert first.size == (192 + 2 * BORDER_PX, 192 + 2 * BORDER_PX + CAPTION_PX)

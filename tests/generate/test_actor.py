@@ -140,17 +140,6 @@ def test_rounds_merge_and_the_card_tells_what_they_are(
     assert "moves the hand, and" not in (tmp_path / "first" / "README.md").read_text()
 
 
-def test_a_checkpoint_that_could_run_code_is_refused(
-    actor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    hostile = shutil.copytree(actor, tmp_path / "other")
-    edit_json(hostile / "config.json", lambda content: content.update(auto_map={"x": "y"}))
-    assert main(words(hostile, tmp_path / "d")) == 2
-    error = capsys.readouterr().err
-    assert "has an auto_map" in error
-    assert "give --trust only if" in error
-
-
 def test_a_recipe_that_names_another_actor_is_refused(
     actor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):

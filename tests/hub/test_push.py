@@ -370,35 +370,24 @@ def test_results_of_another_policy_are_refused_unless_said_to_be_of_this_one(
     assert push(results, "me/policy", "--policy", policy)[0] == 0
 
 
+@pytest.mark.parametrize(
+    ("weights", "code"),
+    [
+        ({"model.safetensors": "its own"}, 0),
+        ({"model.safetensors": "0a" * 32}, 1),
+        ({"model.safetensors": "its own", "base/model.safetensors": "0b" * 32}, 0),
+        ({"base/model.safetensors": "0b" * 32}, 1),
+    ],
+    ids=["its own", "others", "of an adapter", "of its base alone"],
+)
 def test_results_go_to_the_repository_with_the_weights_that_they_name(
-    checkpoint, tmp_path, hub, push
+    weights: dict[str, str], code: int, checkpoint: Path, tmp_path: Path, push: Push
 ):
     push(checkpoint, "me/policy")
     digest = hashlib.sha256((checkpoint / "model.safetensors").read_bytes()).hexdigest()
-    for number, (policy, weights, code) in enumerate(
-        ((str(checkpoint), digest, 0), ("me/policy", "0a" * 32, 1))
-    ):
-        named = {"weights": {"model.safetensors": weights}}
-        results = write_split(
-            tmp_path / str(number), "ood_speed", range(2), policy=policy, extra=named
-        )
-        assert push(results, "me/policy")[0] == code
-
-
-def test_results_of_an_adapter_go_to_its_repository_which_does_not_hold_the_base(
-    checkpoint, tmp_path, hub, push
-):
-    """Its own weights must be there; those of its base model alone show nothing."""
-    push(checkpoint, "me/policy")
-    digest = hashlib.sha256((checkpoint / "model.safetensors").read_bytes()).hexdigest()
-    base = {"base/model.safetensors": "0b" * 32}
-    for number, (weights, code) in enumerate(
-        (({"model.safetensors": digest} | base, 0), (base, 1))
-    ):
-        results = write_split(
-            tmp_path / str(number), "ood_speed", range(2), extra={"weights": weights}
-        )
-        assert push(results, "me/policy")[0] == code
+    named = {name: value.replace("its own", digest) for name, value in weights.items()}
+    results = write_split(tmp_path / "results", "ood_speed", range(2), extra={"weights": named})
+    assert push(results, "me/policy")[0] == code
 
 
 def test_the_card_lists_the_results_once(checkpoint: Path, tmp_path: Path, hub: Hub, push: Push):
@@ -473,20 +462,15 @@ def test_a_repository_is_checked_before_its_weights_are_fetched_of_the_same_comm
     assert requests.fetched() == {("b" * 40, name) for name in harmless if name != "optimizer.pt"}
 
 
-def test_an_environment_is_pushed(hub: Hub, push: Push):
-    code, out, err = push(ROOT / "envs/hub", "me/dynahoi-env")
-    assert code == 0, err
-    assert f"environment pushed to {hub.url}/me/dynahoi-env" in out
-    assert set(hub.repos["models/me/dynahoi-env"].files) == {"README.md", "env.py"}
-
-
 def test_lerobot_makes_the_environment_that_was_pushed(
     hub: Hub, push: Push, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ):
     from lerobot.envs.factory import make_env
 
     monkeypatch.chdir(tmp_path)
-    assert push(ROOT / "envs/hub", "me/dynahoi-env")[0] == 0
+    code, out, err = push(ROOT / "envs/hub", "me/dynahoi-env")
+    assert code == 0, err
+    assert f"environment pushed to {hub.url}/me/dynahoi-env" in out
     suites = make_env("me/dynahoi-env", n_envs=1, trust_remote_code=True)
     (env,) = [env for suite in suites.values() for env in suite.values() if env.task == "lob"]
     observation, _ = env.reset(seed=[0])

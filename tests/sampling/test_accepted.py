@@ -112,13 +112,3 @@ def test_an_entry_that_leads_elsewhere_is_searched_instead(field: str, fresh, tm
 def test_entries_of_another_benchmark_are_not_read(fresh):
     fresh.setattr(accepted, "BENCHMARK_ID", "v4-00000000")
     assert entries_of(TEST) == {}
-
-
-def test_a_file_that_differs_is_told_by_the_first_seed(tmp_path: Path):
-    with np.load(ENTRIES) as stored:
-        arrays = {name: stored[name] for name in stored}
-    wanted = {name: arrays[name].copy() for name in STREAMS}
-    arrays["val"]["home"][7:9] += 1
-    np.savez(tmp_path / "accepted.npz", **arrays)
-    (sentence,) = accept.differences(wanted, tmp_path / "accepted.npz")
-    assert sentence == "2 of 220 entries of val differ, the first is 7"

