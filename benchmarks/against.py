@@ -23,12 +23,7 @@ from support.measures import MEASURES, Settings
 from support.options import REPOSITORY, benchmark_parser, write_numbers
 
 PROGRAM = Path(__file__).parent / "support" / "measures.py"
-ASYNC = "async_env"
-"""Measured of the other checkout alone, and compared with `STATE` of both."""
-STATE = "state_env"
-SIZES: dict[str, int] = {
-    field.name: field.default for field in fields(Settings) if isinstance(field.default, int)
-}
+SIZES = {field.name: field.default for field in fields(Settings)}
 TINY = {
     "itself": True,
     "only": ["state_env"],
@@ -70,7 +65,7 @@ def compare(name: str, args: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """
     rounds = [
         {
-            "this": measured(STATE if name == ASYNC else name, REPOSITORY, args),
+            "this": measured(name, REPOSITORY, args),
             "other": measured(name, args.checkout, args),
         }
         for _ in range(args.rounds)
@@ -90,7 +85,7 @@ def compare(name: str, args: argparse.Namespace) -> dict[str, dict[str, Any]]:
 
 def measured(name: str, checkout: Path, args: argparse.Namespace) -> dict[str, float]:
     """Return the numbers of one measure of one checkout, from a process of its own."""
-    settings = {name: getattr(args, name) for name in SIZES} | {"checkout": str(checkout)}
+    settings = {name: getattr(args, name) for name in SIZES}
     command = [python(checkout), str(PROGRAM), name, json.dumps(settings)]
     surroundings = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
     surroundings["CUDA_VISIBLE_DEVICES"] = ""
