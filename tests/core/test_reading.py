@@ -246,8 +246,11 @@ def test_honest_tables_and_arrays_are_read(tmp_path: Path) -> None:
         for _ in range(1000)
     ]
     pq.write_table(pa.Table.from_pylist(rows), path := tmp_path / "x.parquet")
-    assert list(read_rows(path)) == read_table(path).to_pylist() == rows
-    assert list(read_rows(path, ["text"])) == [{"text": ["x", None]}] * 1000
+    assert list(read_rows(path, read_table(path).schema)) == read_table(path).to_pylist() == rows
+    schema = pa.schema({"text": pa.list_(pa.large_string())})
+    assert list(read_rows(path, schema)) == [{"text": ["x", None]}] * 1000
+    with pytest.raises(ReadError, match=r"its column text is of type list<.*it must be double"):
+        list(read_rows(path, pa.schema({"text": pa.float64()})))
     np.savez(path := tmp_path / "x.npz", a=np.arange(6.0).reshape(2, 3).T, b=np.array(3))
     assert read_arrays(path, ["a", "b"])["a"].tolist() == [[0, 3], [1, 4], [2, 5]]
 

@@ -82,8 +82,12 @@ def test_named_episodes_are_left_out(with_outlier, tmp_path):
 
 
 COLUMNS = [
-    (ROWS, {"tasks": [0.5]}, "column tasks of type double; it must be list<"),
-    (ROWS, {"stats/action/mean": [{"a": [None]}]}, "stats/action/mean of type struct<"),
+    (ROWS, {"tasks": [0.5]}, "its column tasks is of type double; it must be list<"),
+    (
+        ROWS,
+        {"stats/action/mean": [{"a": [None]}]},
+        "its column stats/action/mean is of type struct<",
+    ),
     (ROWS, {"benchmark": [None]}, "benchmark must be a valid string, got None"),
     (TRUTH, {"frame_index": [0]}, "privileged tables of other episodes"),
     (TRUTH, {"captured": [{"a": [None]}]}, "its column captured is of type struct<"),

@@ -111,7 +111,7 @@ def test_without_lerobot_all_else_is_checked(copy, monkeypatch):
     assert found(copy) == {"format"}
 
 
-def test_a_folder_that_lerobot_opens_with_its_neighbours_is_found(copy):
+def test_a_folder_that_lerobot_opens_with_its_neighbors_is_found(copy):
     assert found(copy.rename(copy.parent / "co?y")) == {"files"}
 
 

@@ -133,8 +133,8 @@ def decode(ids: Tensor, vocabulary: int) -> Tensor:
         vocabulary: number of tokens of the tokenizer.
     """
     edges = _edges(ids.device)
-    centres = (edges[:-1] + edges[1:]) / 2
-    return centres[(vocabulary - ids - 1).clamp(0, N_BINS - 2)]
+    centers = (edges[:-1] + edges[1:]) / 2
+    return centers[(vocabulary - ids - 1).clamp(0, N_BINS - 2)]
 
 
 def _edges(device: torch.device) -> Tensor:

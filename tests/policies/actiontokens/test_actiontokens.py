@@ -88,8 +88,8 @@ def test_bins_are_those_of_openvla() -> None:
     expected = VOCABULARY - np.digitize(np.clip(values, -1, 1), edges)
     ids = encode(torch.tensor(values), VOCABULARY)
     assert (ids.numpy() == expected).mean() > 0.999  # single precision moves a value on an edge
-    centres = (edges[:-1] + edges[1:]) / 2
-    middles = centres[np.clip(VOCABULARY - ids.numpy() - 1, 0, 254)]
+    centers = (edges[:-1] + edges[1:]) / 2
+    middles = centers[np.clip(VOCABULARY - ids.numpy() - 1, 0, 254)]
     np.testing.assert_allclose(decode(ids, VOCABULARY), middles, atol=1e-6)
     assert np.abs(decode(ids, VOCABULARY).numpy() - np.clip(values, -1, 1)).max() <= BIN
     assert set(ids.tolist()) <= set(range(VOCABULARY - N_BINS, VOCABULARY))

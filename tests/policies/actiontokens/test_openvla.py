@@ -83,7 +83,7 @@ def test_the_prompt_is_that_of_training(
     assert [word for word in words if word in WORDS] == ["catch", "the", "moving", "ball"]
 
 
-def test_each_tower_sees_its_own_normalisation(processor: PrismaticProcessor) -> None:
+def test_each_tower_sees_its_own_normalization(processor: PrismaticProcessor) -> None:
     processor.image_settings["means"] = [[0.5, 0.4, 0.3], [0.0, 0.0, 0.0]]
     processor.image_settings["stds"] = [[0.2, 0.3, 0.4], [1.0, 1.0, 1.0]]
     (pixels,) = processor(images=[[picture()]], text=[PROMPT])["pixel_values"]
@@ -158,8 +158,8 @@ def test_an_imported_checkpoint_acts_as_the_model_does(model, processor, importe
         inputs["attention_mask"] = torch.ones_like(inputs["input_ids"])
     edges = torch.linspace(-1, 1, 256)
     bins = (vocabulary - torch.tensor(written) - 1).clamp(0, 254)
-    normalised = (edges[bins] + edges[bins + 1]) / 2
-    expected = torch.cat([0.5 * (normalised[:-1] + 1) * (4.0 - -2.0) + -2.0, normalised[-1:]])
+    normalized = (edges[bins] + edges[bins + 1]) / 2
+    expected = torch.cat([0.5 * (normalized[:-1] + 1) * (4.0 - -2.0) + -2.0, normalized[-1:]])
     torch.testing.assert_close(action, expected)
 
 
