@@ -55,11 +55,11 @@ def reading(path: Path, *others: type[Exception]) -> Iterator[None]:
     except (ReadError, *others):
         raise
     except Exception as error:  # a damaged file makes every library raise something else
-        told = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
         # a number where the file was open, or PyAV's function
         named = getattr(error, "filename", None)
         file = named if isinstance(named, str) and os.sep in named else path
-        raise ReadError(f"{file} cannot be read: {shortened(told, 300)}") from error
+        raise ReadError(f"{file} cannot be read: {shortened(reason, 300)}") from error
 
 
 @contextmanager
@@ -156,10 +156,10 @@ def require_schema(path: Path, content: Mapping[str, Any], schema: int, remedy: 
     """Raise a ReadError, which ends in ``remedy``, unless what a file holds is of the ``schema``
     that is read here.
     """
-    found = content.get("schema")
-    if type(found) is not int or found != schema:
-        told = f"schema {found!r:.40}" if "schema" in content else "no schema"
-        raise ReadError(f"{path} has {told}, and this version reads schema {schema}; {remedy}")
+    stored = content.get("schema")
+    if type(stored) is not int or stored != schema:
+        version = f"schema {stored!r:.40}" if "schema" in content else "no schema"
+        raise ReadError(f"{path} has {version}, and this version reads schema {schema}; {remedy}")
 
 
 def validated(hint: Any, value: Any, name: str = "") -> Any:
@@ -227,12 +227,12 @@ def _refuse_unknown(kind: type, values: Any) -> None:
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Refuse a key that appears twice, of which JSON's readers keep the first or the last."""
-    held: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for key, value in pairs:
-        if key in held:
+        if key in values:
             raise ValueError(f"key {key!r:.80} appears again")
-        held[key] = value
-    return held
+        values[key] = value
+    return values
 
 
 def _finite(text: str) -> float:
@@ -333,6 +333,8 @@ def read_rows(path: Path, schema: pa.Schema) -> Iterator[dict[str, Any]]:
     """Yield the rows of a Parquet file, its columns of a schema in their types; a few at a time are
     in memory.
     """
+    import pyarrow as pa
+
     with reading(path), open_table(path) as file:
         missing = sorted(set(schema.names) - set(file.schema_arrow.names))
         if missing:

@@ -64,7 +64,7 @@ def write_card(store: Store, manifest: Manifest) -> None:
     template = markdown_template(Path(__file__).with_suffix(".md").read_text())
     described = described_features(store.features)
     names = described["action"].names
-    told = {
+    meanings = {
         key: (feature.unit, feature.meaning) for key, feature in described.items()
     } | BOOKKEEPING_COLUMNS
     text = template.render(
@@ -82,7 +82,7 @@ def write_card(store: Store, manifest: Manifest) -> None:
         objects=_counts(store, "object"),
         histograms=histograms,
         frame_columns=[
-            _cells(key, entry["dtype"], entry["shape"], *told.get(key, ("", _names(entry))))
+            _cells(key, entry["dtype"], entry["shape"], *meanings.get(key, ("", _names(entry))))
             for key, entry in store.features.items()
         ],
         privileged={

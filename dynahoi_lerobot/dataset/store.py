@@ -78,11 +78,11 @@ def open_dataset(root: Path, **options: Any) -> LeRobotDataset:
         dataset = LeRobotDataset(f"local/{root.name}", root=root, **options)
     lengths = [row["length"] for row in store.rows]
     chosen = range(len(lengths)) if dataset.episodes is None else dataset.episodes
-    found = dataset.hf_dataset.num_rows
-    wanted = sum(lengths[index] for index in chosen)
-    if found != wanted:
+    n_rows = dataset.hf_dataset.num_rows
+    n_frames = sum(lengths[index] for index in chosen)
+    if n_rows != n_frames:
         raise ValueError(
-            f"LeRobot reads {found} rows of {root}; its episodes have {wanted}; see `dynahoi "
+            f"LeRobot reads {n_rows} rows of {root}; its episodes have {n_frames}; see `dynahoi "
             f"verify`"
         )
     return dataset
@@ -104,8 +104,8 @@ def read_episodes(
             the privileged tables.
     """
     store = Store(root)
-    chosen = (store.stored(index) for index in indices or ())
-    for stored in store.stored_episodes() if indices is None else chosen:
+    some = (store.stored(index) for index in indices or ())
+    for stored in store.stored_episodes() if indices is None else some:
         yield store.as_episode(stored, images=images)
 
 
@@ -221,10 +221,10 @@ class Store:
         for memory.
         """
         for name, usual in (("data_path", DATA_PATH), ("video_path", VIDEO_PATH)):
-            told = self.info.get(name)
-            if told not in (usual, None):
+            template = self.info.get(name)
+            if template not in (usual, None):
                 raise ReadError(
-                    f"{self.root / INFO_PATH} says {name} is {told!r}; it must be {usual!r}"
+                    f"{self.root / INFO_PATH} says {name} is {template!r}; it must be {usual!r}"
                 )
         for path in self.tables():
             open_table(path).close()
@@ -232,10 +232,10 @@ class Store:
             regular(path)
         for path in self.root.glob("videos/*/*/*"):
             regular(path)
-        told = sum(row["length"] for row in self.rows)
-        if told != self.frame_count:
+        total = sum(row["length"] for row in self.rows)
+        if total != self.frame_count:
             raise ReadError(
-                f"{self.root} has {self.frame_count} frames, and episodes of {told}; see "
+                f"{self.root} has {self.frame_count} frames, and episodes of {total}; see "
                 f"`dynahoi verify`"
             )
 
@@ -286,9 +286,9 @@ class Store:
             stop = first + (row["length"] or 0)
             place = (row["episode_index"], row["dataset_from_index"], row["dataset_to_index"])
             if place != (index, first, stop) or not first < stop <= self.frame_count:
-                told = ", ".join(f"{name} {row[name]}" for name in PLACE[:4])
+                words = ", ".join(f"{name} {row[name]}" for name in PLACE[:4])
                 raise ReadError(
-                    f"{self.root} places episode {index} at {told}, of {self.frame_count} frames"
+                    f"{self.root} places episode {index} at {words}, of {self.frame_count} frames"
                 )
             first = stop
         return rows
@@ -396,8 +396,8 @@ class Store:
         """
         path = self.data_path(row)
         with reading(path):
-            wanted = np.arange(row["dataset_from_index"], row["dataset_to_index"])
-            if not np.array_equal(column_array(table, "index")[:, 0], wanted):
+            index = np.arange(row["dataset_from_index"], row["dataset_to_index"])
+            if not np.array_equal(column_array(table, "index")[:, 0], index):
                 raise ReadError(
                     f"{path} does not hold the frames of episode {row['episode_index']} in their "
                     f"order"
@@ -411,12 +411,12 @@ class Store:
         with reading(path):
             if is_video:
                 start = round(row[f"videos/{key}/from_timestamp"] * self.fps)
-                shown = decode(path, start, start + row["length"])
+                frames = decode(path, start, start + row["length"])
             else:
-                shown = (read_png(cell) for cell in table[key].to_pylist())
+                frames = (read_png(cell) for cell in table[key].to_pylist())
             shape = (row["length"], *self.features[key]["shape"])
             images = np.empty(shape, np.uint8)
-            for place, image in zip(range(row["length"]), shown, strict=True):
+            for place, image in zip(range(row["length"]), frames, strict=True):
                 if image.shape != shape[1:]:
                     raise ValueError(
                         f"it shows an image of shape {image.shape}; {self.root / INFO_PATH} says "
@@ -430,9 +430,9 @@ class Store:
         if not 0 <= index < self.episodes:
             raise IndexError(f"episode {index} does not exist; {self.root} holds {self.episodes}")
         for path in self.row_files():
-            found = self.table(path, episode=index)
-            if found.num_rows:
-                return found.to_pylist()[0]
+            rows = self.table(path, episode=index)
+            if rows.num_rows:
+                return rows.to_pylist()[0]
         raise IndexError(f"{self.root} holds no row of episode {index}")
 
     def stored(self, index: int) -> StoredEpisode:

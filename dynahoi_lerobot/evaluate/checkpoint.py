@@ -226,15 +226,15 @@ def _named_base(folder: Path) -> tuple[str, str | None]:
     name.
     """
     file = folder / ADAPTER
-    told = {"revision": None} | read_object(file)
+    content = {"revision": None} | read_object(file)
     with reading(file):
-        require(told, {"base_model_name_or_path": str | None, "revision": str | None})
-    name = told["base_model_name_or_path"]
+        require(content, {"base_model_name_or_path": str | None, "revision": str | None})
+    name = content["base_model_name_or_path"]
     if not name:
         raise PolicyError(f"{file} names no base_model_name_or_path, which it adapts")
     places = [*folder.resolve().parents, Path(), CHECKOUT]
-    found = [str(place / name) for place in places if (place / name / CONFIG).is_file()]
-    return (found[0] if found else name), told["revision"]
+    existing = [str(place / name) for place in places if (place / name / CONFIG).is_file()]
+    return (existing[0] if existing else name), content["revision"]
 
 
 def load_policy(
@@ -339,24 +339,24 @@ def trained_for(folder: Path, names: Mapping[str, str] | None = None) -> dict[st
         if not rules and env.get("type") == "dynahoi":
             rules = env
         hints = get_type_hints(Rules)
-        told = {name: rules[name] for name in hints if rules.get(name) is not None}
-        require(told, {name: hints[name] for name in told})
+        values = {name: rules[name] for name in hints if rules.get(name) is not None}
+        require(values, {name: hints[name] for name in values})
         inputs = config.get("input_features") or {}
         seen = {key for key in VIEW_KEYS.values() if names.get(key, key) in inputs}
-        told["views"] = tuple(view for view in OPTIONAL_VIEWS if VIEW_KEYS[view] in seen)
+        values["views"] = tuple(view for view in OPTIONAL_VIEWS if VIEW_KEYS[view] in seen)
         cameras = [
             feature for key, feature in inputs.items() if key.startswith("observation.image")
         ]
         if not cameras:
-            told.pop("image_size", None)
-        elif not (names and "image_size" in told):
+            values.pop("image_size", None)
+        elif not (names and "image_size" in values):
             # a policy that was made for other cameras keeps the shape of theirs, and resizes
-            told["image_size"] = cameras[0]["shape"][-1]
+            values["image_size"] = cameras[0]["shape"][-1]
         if ENVIRONMENT_STATE not in inputs:
-            told["environment_state"] = ""
-        elif told.get("environment_state") == EYE and not cameras:
-            told["image_size"] = DETECTOR_IMAGE_SIZE_PX
-    return told
+            values["environment_state"] = ""
+        elif values.get("environment_state") == EYE and not cameras:
+            values["image_size"] = DETECTOR_IMAGE_SIZE_PX
+    return values
 
 
 def hint_at_checkpoint(folder: Path) -> str:
@@ -403,8 +403,8 @@ def _findings(folder: Path) -> Iterator[str]:
         if file.suffix.lower() in PICKLES:
             yield f"{file} is a pickle, which runs code when it is opened"
         elif file.suffix == ".json":
-            held = {key for key, value in _entries(read_json(file)) if key == "auto_map" or value}
-            yield from (f"{file} {problem}" for key, problem in CODE_KEYS.items() if key in held)
+            keys = {key for key, value in _entries(read_json(file)) if key == "auto_map" or value}
+            yield from (f"{file} {problem}" for key, problem in CODE_KEYS.items() if key in keys)
     kind = str(read_object(folder / CONFIG).get("type"))
     if kind not in POLICY_TYPES:
         yield (
@@ -425,11 +425,11 @@ def _adapter_findings(file: Path) -> Iterator[str]:
         from peft import LoraConfig
     except ImportError as error:
         raise PolicyError(f"playing the adapter {file.parent} needs peft ({error})") from error
-    told = read_object(file)
+    content = read_object(file)
     usual = vars(LoraConfig())
-    if told.get("peft_type") != "LORA":
-        yield f"{file} is of type {told.get('peft_type')!r}, not LORA"
-    for key, value in told.items():
+    if content.get("peft_type") != "LORA":
+        yield f"{file} is of type {content.get('peft_type')!r}, not LORA"
+    for key, value in content.items():
         if key not in ADAPTER_KEYS and value and value != usual.get(key):
             yield f"{file} sets {key}, which is not one of the keys known to be safe"
 
@@ -468,8 +468,8 @@ def _pipeline_findings(file: Path) -> Iterator[str]:
             raise PolicyError(
                 f"{file} gives the step {name!r} the config {config!r}, which is no mapping"
             )
-        known = str(step.get("registry_name")) in ProcessorStepRegistry.list()
-        kind: Any = ProcessorStepRegistry.get(step["registry_name"]) if known else object
+        registered = str(step.get("registry_name")) in ProcessorStepRegistry.list()
+        kind: Any = ProcessorStepRegistry.get(step["registry_name"]) if registered else object
         if kind.__module__.startswith(STEPS) and kind.__module__ != LOADING_STEPS:
             yield from _step_findings(file, name, kind, config)
         else:

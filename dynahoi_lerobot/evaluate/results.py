@@ -118,12 +118,12 @@ class RunInfo:
 
     @classmethod
     def begun(
-        cls, policy: str, recipe: Recipe, weights: Mapping[str, str] | None = None, **told: Any
+        cls, policy: str, recipe: Recipe, weights: Mapping[str, str] | None = None, **facts: Any
     ) -> Self:
-        """Return what this command line begins to play, of a recipe; ``told`` and ``weights`` are
+        """Return what this command line begins to play, of a recipe; ``facts`` and ``weights`` are
         in ``extra``.
         """
-        extra = {**told, "surroundings": surroundings()}
+        extra = {**facts, "surroundings": surroundings()}
         extra |= {} if weights is None else {WEIGHTS: dict(weights)}
         return cls(policy, recipe.stored(), command_line(), recipe_code(recipe), extra)
 
@@ -139,11 +139,11 @@ class RunInfo:
 
     def task(self) -> dict[str, Any]:
         """Return what must be equal for an evaluation to be resumed."""
-        told: dict[str, Any] = {"schema": SCHEMA}
-        told |= {name: self.extra.get(name) or "" for name in ("inference", "settings", WEIGHTS)}
+        facts: dict[str, Any] = {"schema": SCHEMA}
+        facts |= {name: self.extra.get(name) or "" for name in ("inference", "settings", WEIGHTS)}
         return {
             name: getattr(self, name) for name in ("policy", "recipe", "code", "benchmark")
-        } | told
+        } | facts
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,8 +210,8 @@ class Results:
         ``inference`` is ``sync`` if the world waited for the policy, else such as ``async 150 ms``.
         """
         played = flat(self.info.recipe)
-        told = {name: _number(played[name]) for name in COMPARED}
-        return told | {"inference": self.info.extra.get("inference") or SYNC}
+        values = {name: _number(played[name]) for name in COMPARED}
+        return values | {"inference": self.info.extra.get("inference") or SYNC}
 
     @property
     def privileged(self) -> bool:
@@ -337,10 +337,10 @@ def read_results(folder: Path) -> Results:
     played = {"benchmark": info.benchmark}
     played |= {name: value for name, value in flat(info.recipe).items() if name in COMPARED}
     for name in played.keys() & rows[0].keys():
-        found = sorted({played[name], *(row[name] for row in rows)})
-        if len(found) > 1:
+        values = sorted({played[name], *(row[name] for row in rows)})
+        if len(values) > 1:
             raise ReadError(
-                f"{folder} holds episodes of {name} {found[0]!r} and {found[1]!r}; {REMEDY}"
+                f"{folder} holds episodes of {name} {values[0]!r} and {values[1]!r}; {REMEDY}"
             )
     return Results(folder, info, tuple(rows), tuple(actions), head)
 
@@ -436,9 +436,9 @@ def _read_actions(path: Path) -> tuple[list[int], list[np.ndarray]]:
             or actions.dtype.kind != "f"
             or not (np.abs(actions) <= LARGEST).all()
         ):
-            told = f"of shape {actions.shape}, up to {np.abs(actions).max(initial=0)}"
+            given = f"of shape {actions.shape}, up to {np.abs(actions).max(initial=0)}"
             raise ValueError(
-                f"its actions must be of shape (N, {HAND_DOF}), up to {LARGEST}; they are {told}"
+                f"its actions must be of shape (N, {HAND_DOF}), up to {LARGEST}; they are {given}"
             )
         steps = np.diff(offsets, prepend=0, append=len(actions))
         if (

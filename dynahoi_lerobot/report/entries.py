@@ -71,9 +71,11 @@ def read_entries(folders: Sequence[Path], *, allow_version_mismatch: bool = Fals
     results = _readable(folders)
     refuse_mixed_streams((result.folder, result.info.split) for result in results)
     if not allow_version_mismatch:
-        found = [(result.folder, result.info.benchmark) for result in results]
+        versions = [(result.folder, result.info.benchmark) for result in results]
         refuse_to_mix(
-            "benchmark", found, "evaluate both under one version, or add --allow-version-mismatch"
+            "benchmark",
+            versions,
+            "evaluate both under one version, or add --allow-version-mismatch",
         )
     results.sort(key=lambda result: -(result.summary["S_loc"].value or 0.0))
     labels = unique_labels(results)

@@ -275,9 +275,7 @@ def per_kind(entries: Sequence[Entry]) -> Figure | None:
     """
     pairs = {(row["category"], row["kind"]) for entry in entries for row in entry.results.rows}
     categories = STRATA["category"].arrange({category for category, _ in pairs})
-    groups = [
-        sorted(kind for category, kind in pairs if category == wanted) for wanted in categories
-    ]
+    groups = [sorted(kind for category, kind in pairs if category == one) for one in categories]
     kinds = [kind for group in groups for kind in group]
     if len(kinds) < 2:
         return None
@@ -286,10 +284,10 @@ def per_kind(entries: Sequence[Entry]) -> Figure | None:
     heights = [0.44 * len(shown) + 0.2 for shown in maps.values()]
     drawing, axes = subplots(len(maps), 1, sum(heights) + 1.7, sharex=True, height_ratios=heights)
     for panel, (name, shown) in zip(axes, maps.items(), strict=True):
-        found = [entry.results.by("kind") for entry in shown]
+        summaries = [entry.results.by("kind") for entry in shown]
         cells = [
             [by_kind[kind][name] if kind in by_kind else None for kind in kinds]
-            for by_kind in found
+            for by_kind in summaries
         ]
         _heat_map(panel, cells, name)
         panel.set_yticks(range(len(shown)), [entry.label for entry in shown])
@@ -306,11 +304,11 @@ def _heat_map(panel: Axes, cells: Sequence[Sequence[Estimate | None]], name: str
     grid = np.stack([error_bars(row)[0] for row in cells])
     panel.imshow(grid, cmap="viridis", vmin=0, vmax=100, aspect="auto")
     for (row, column), value in np.ndenumerate(grid):
-        found = cells[row][column]
-        if found is not None and found.n:
+        estimate = cells[row][column]
+        if estimate is not None and estimate.n:
             style: dict[str, Any] = {"color": "black" if value > 60 else "white", "ha": "center"}
             panel.text(column, row, f"{value:.0f}", va="bottom", fontsize=8, **style)
-            panel.text(column, row + 0.05, f"n={found.n}", va="top", fontsize=6, **style)
+            panel.text(column, row + 0.05, f"n={estimate.n}", va="top", fontsize=6, **style)
     panel.set_title(f"{name} [%]", loc="left")
     panel.grid(visible=False)
 
@@ -394,8 +392,8 @@ def latency_ms(entry: Entry) -> float | None:
     label = entry.results.info.extra.get("inference")
     if not label:
         return 0.0
-    told = re.fullmatch(r"\w+ ([\d.e+]+) ms", label)  # as `Inference.label` says it
-    return float(told[1]) if told else None
+    match = re.fullmatch(r"\w+ ([\d.e+]+) ms", label)  # as `Inference.label` says it
+    return float(match[1]) if match else None
 
 
 @figure("latency", "Inference latency")
@@ -405,13 +403,12 @@ def latency(entries: Sequence[Entry]) -> Figure | None:
     Drawn from evaluations under ``--inference async`` or ``rtc`` with a declared latency; 0 where
     the world waits.
     """
-    known = {entry.label: ms for entry in entries if (ms := latency_ms(entry)) is not None}
-    if len(set(known.values())) < 2:
+    latencies = {entry.label: ms for entry in entries if (ms := latency_ms(entry)) is not None}
+    if len(set(latencies.values())) < 2:
         return None
     lines: dict[str, list[Entry]] = {}
-    for entry in sorted(
-        (entry for entry in entries if entry.label in known), key=lambda entry: known[entry.label]
-    ):
+    timed = [entry for entry in entries if entry.label in latencies]
+    for entry in sorted(timed, key=lambda entry: latencies[entry.label]):
         info = entry.results.info
         control_class = entry.results.conditions["control_class"]
         rules = (short_name(info.policy), info.split, info.capture, control_class)
@@ -424,7 +421,7 @@ def latency(entries: Sequence[Entry]) -> Figure | None:
     legend(drawing, titles)
     for name, panel in panels.items():
         for title, line in zip(titles, lines.values(), strict=True):
-            places = np.array([known[entry.label] for entry in line])
+            places = np.array([latencies[entry.label] for entry in line])
             points(panel, places, [entry.results.summary[name] for entry in line], title)
         panel.set_xlabel("latency of an inference [ms]")
     return drawing

@@ -21,7 +21,6 @@ from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.report import figures, page, render_report
 from dynahoi_lerobot.report.entries import (
     Entry,
-    Mark,
     distinct_episodes,
     read_entries,
     short_name,
@@ -121,14 +120,15 @@ def test_equal_names_are_told_apart_by_conditions_then_folder_then_number():
 
 def test_entries_come_best_first_and_once(entries: list[Entry]):
     assert [entry.label for entry in entries] == ["strong", "holder", "weak"]
-    assert len({entry.mark for entry in entries}) == 3
+    assert len({(entry.color, entry.marker) for entry in entries}) == 3
     assert len(distinct_episodes(entries)) == 24
 
 
-def test_every_one_of_many_evaluations_has_a_mark_of_its_own_in_each_form():
-    marks = [Mark.of(place) for place in range(40)]
+def test_every_one_of_many_evaluations_looks_different_in_each_form(entries: list[Entry]):
+    results = entries[0].results
+    many = [Entry.of(results, str(place), place) for place in range(40)]
     for form in ("marker", "letter", "dashes", "hatch"):
-        assert len({(mark.color, str(getattr(mark, form))) for mark in marks}) == 40
+        assert len({(entry.color, str(getattr(entry, form))) for entry in many}) == 40
 
 
 def unfinished(root: Path) -> list[Path]:
