@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from support.measures import MEASURES, Settings
-from support.options import REPOSITORY, benchmark_parser, write_numbers
+from support.options import REPOSITORY, benchmark_parser, spread, write_numbers
 
 PROGRAM = Path(__file__).parent / "support" / "measures.py"
 SIZES = {field.name: field.default for field in fields(Settings)}
@@ -77,7 +77,7 @@ def compare(name: str, args: argparse.Namespace) -> dict[str, dict[str, Any]]:
         table[number] = row | {"median_ratio": statistics.median(row["ratio"])}
         print(
             f"{name:17} {number:40} {statistics.median(row['this']):9.3f} "
-            f"{statistics.median(row['other']):9.3f}   {_range(row['ratio'])}",
+            f"{statistics.median(row['other']):9.3f}   {spread(row['ratio'])}",
             flush=True,
         )
     return table
@@ -103,10 +103,6 @@ def python(checkout: Path) -> str:
     if not interpreter.exists():
         raise SystemExit(f"{checkout} has no .venv; run `uv sync` in it")
     return str(interpreter)
-
-
-def _range(ratios: list[float]) -> str:
-    return f"{statistics.median(ratios):5.2f} ({min(ratios):.2f} to {max(ratios):.2f})"
 
 
 if __name__ == "__main__":

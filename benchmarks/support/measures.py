@@ -18,6 +18,9 @@ from typing import Any
 
 BEGIN = time.perf_counter()
 os.environ.setdefault("MUJOCO_GL", "egl")
+WARM_UP_STEPS = 5
+WANDER = 0.01
+"""Standard deviation of an action around the state [m, rad]."""
 Numbers = dict[str, float]
 
 
@@ -103,25 +106,32 @@ def image_env(settings: Settings) -> Numbers:
 
 
 def _steps(settings: Settings, image_size: int) -> Numbers:
-    """Actions wander about the measured state, as in `env.py`."""
-    import numpy as np
-
     from dynahoi_lerobot.env import DynahoiVectorEnv
 
     env = DynahoiVectorEnv(settings.num_envs, image_size=image_size)
+    wall_s, cpu_s = wander(env, settings.steps)
+    thousands = settings.steps * settings.num_envs / 1000
+    return {"1,000 steps, wall s": wall_s / thousands, "1,000 steps, CPU s": cpu_s / thousands}
+
+
+def wander(env: Any, steps: int) -> tuple[float, float]:
+    """Return wall and processor time [s] of so many steps of a vector env, whose hands wander about
+    where they are; close it.
+    """
+    import numpy as np
+
     rng = np.random.default_rng(0)
-    seen, _ = env.reset(seed=0)
+    seen, _ = env.reset(seed=0)  # of the first world; the others follow
     begin: tuple[float, float] = _spent()
-    for step in range(-5, settings.steps):
+    for step in range(-WARM_UP_STEPS, steps):
         if step == 0:
             begin = _spent()
         state = seen["agent_pos"]
-        actions = (state + rng.normal(0.0, 0.01, state.shape)).astype(np.float32)
+        actions = (state + rng.normal(0.0, WANDER, state.shape)).astype(np.float32)
         seen = env.step(actions)[0]
     wall_s, cpu_s = (after - before for after, before in zip(_spent(), begin, strict=True))
     env.close()
-    thousands = settings.steps * settings.num_envs / 1000
-    return {"1,000 steps, wall s": wall_s / thousands, "1,000 steps, CPU s": cpu_s / thousands}
+    return wall_s, cpu_s
 
 
 def evaluation(settings: Settings) -> Numbers:
