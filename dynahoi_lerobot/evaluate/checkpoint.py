@@ -30,6 +30,7 @@ from dynahoi_lerobot.core.reading import (
     read_json,
     read_object,
     reading,
+    regular,
     require,
     sha256,
     tensor_shapes,
@@ -259,6 +260,8 @@ def load_policy(
     config = _config(folder, settings)
     config.device = device or config.device
     base = base_folder(folder)
+    for file in {(base or folder) / WEIGHTS, *folder.glob("*.safetensors")}:
+        regular(file)  # LeRobot would wait for a pipe
     overrides = {"device_processor": {"device": str(config.device)}}
     try:
         with _quiet():
