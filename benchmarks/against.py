@@ -20,15 +20,10 @@ from pathlib import Path
 from typing import Any
 
 from support.measures import MEASURES, Settings
-from support.options import REPOSITORY, benchmark_parser, write_numbers
+from support.options import REPOSITORY, benchmark_parser, spread, write_numbers
 
 PROGRAM = Path(__file__).parent / "support" / "measures.py"
-ASYNC = "async_env"
-"""Measured of the other checkout alone, and compared with `STATE` of both."""
-STATE = "state_env"
-SIZES: dict[str, int] = {
-    field.name: field.default for field in fields(Settings) if isinstance(field.default, int)
-}
+SIZES = {field.name: field.default for field in fields(Settings)}
 TINY = {
     "itself": True,
     "only": ["state_env"],
@@ -70,7 +65,7 @@ def compare(name: str, args: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """
     rounds = [
         {
-            "this": measured(STATE if name == ASYNC else name, REPOSITORY, args),
+            "this": measured(name, REPOSITORY, args),
             "other": measured(name, args.checkout, args),
         }
         for _ in range(args.rounds)
@@ -82,7 +77,7 @@ def compare(name: str, args: argparse.Namespace) -> dict[str, dict[str, Any]]:
         table[number] = row | {"median_ratio": statistics.median(row["ratio"])}
         print(
             f"{name:17} {number:40} {statistics.median(row['this']):9.3f} "
-            f"{statistics.median(row['other']):9.3f}   {_range(row['ratio'])}",
+            f"{statistics.median(row['other']):9.3f}   {spread(row['ratio'])}",
             flush=True,
         )
     return table
@@ -90,7 +85,7 @@ def compare(name: str, args: argparse.Namespace) -> dict[str, dict[str, Any]]:
 
 def measured(name: str, checkout: Path, args: argparse.Namespace) -> dict[str, float]:
     """Return the numbers of one measure of one checkout, from a process of its own."""
-    settings = {name: getattr(args, name) for name in SIZES} | {"checkout": str(checkout)}
+    settings = {name: getattr(args, name) for name in SIZES}
     command = [python(checkout), str(PROGRAM), name, json.dumps(settings)]
     surroundings = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
     surroundings["CUDA_VISIBLE_DEVICES"] = ""
@@ -108,10 +103,6 @@ def python(checkout: Path) -> str:
     if not interpreter.exists():
         raise SystemExit(f"{checkout} has no .venv; run `uv sync` in it")
     return str(interpreter)
-
-
-def _range(ratios: list[float]) -> str:
-    return f"{statistics.median(ratios):5.2f} ({min(ratios):.2f} to {max(ratios):.2f})"
 
 
 if __name__ == "__main__":

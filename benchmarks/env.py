@@ -11,18 +11,14 @@ the measured state.
 
 import argparse
 import statistics
-import time
 from functools import partial
 
-import numpy as np
 from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv, VectorEnv
 from support.isolated import measure_apart
-from support.options import benchmark_parser, write_numbers
+from support.measures import wander
+from support.options import benchmark_parser, spread, write_numbers
 
-WARM_UP_STEPS = 5
 TINY = {"num_envs": [2], "image_size": 32, "rounds": 1, "steps": 2, "env_steps": 4}
-WANDER = 0.01
-"""Standard deviation of an action around the state [m, rad]."""
 
 
 def native(num_envs: int, image_size: int) -> VectorEnv:
@@ -52,19 +48,7 @@ SYSTEMS = {
 
 def steps_per_second(system: str, num_envs: int, image_size: int, steps: int) -> dict[str, float]:
     """Time ``steps`` steps of one vector env."""
-    env = SYSTEMS[system](num_envs, image_size)
-    rng = np.random.default_rng(0)
-    seen, _ = env.reset(seed=0)  # of the first world; the others follow
-    begin = time.perf_counter()
-    for step in range(-WARM_UP_STEPS, steps):
-        if step == 0:
-            begin = time.perf_counter()
-        state = seen["agent_pos"]
-        actions = (state + rng.normal(0.0, WANDER, state.shape)).astype(np.float32)
-        seen = env.step(actions)[0]
-        assert not image_size or seen["pixels"]["ego"].any()
-    seconds = time.perf_counter() - begin
-    env.close()
+    seconds, _ = wander(SYSTEMS[system](num_envs, image_size), steps)
     return {"steps_s": steps * num_envs / seconds}
 
 
@@ -115,13 +99,9 @@ def compare(num_envs: int, args: argparse.Namespace) -> list[dict[str, object]]:
         lines.append(line | {"native_is_faster_by": statistics.median(ratios), "ratios": ratios})
         print(
             f"N={num_envs:<3} {name:18} {statistics.median(rates):7.0f} steps/s   native / this "
-            f"{_range(ratios)}"
+            f"{spread(ratios)}"
         )
     return lines
-
-
-def _range(values: list[float]) -> str:
-    return f"{statistics.median(values):5.2f} ({min(values):.2f} to {max(values):.2f})"
 
 
 if __name__ == "__main__":

@@ -59,8 +59,8 @@ def main() -> None:
     eye_recipe = PretrainRecipe(
         Path(), args.camera, episodes=recipe, n_episodes=1, batch_size=1, images=1
     )
-    pose, (focal_px, _, centre_px, _) = calibration(eye_recipe)
-    camera = Pinhole.from_pose(pose.tolist(), centre_px / focal_px, carried=args.camera == EGO_VIEW)
+    pose, (focal_px, _, center_px, _) = calibration(eye_recipe)
+    camera = Pinhole.from_pose(pose.tolist(), center_px / focal_px, carried=args.camera == EGO_VIEW)
     batch = WorldBatch(recipe.rules, args.batch_size, threads=1)
     random = snapshots(batch, specs, np.random.default_rng(1), args.camera)
     stream = islice(random, args.images // args.batch_size)

@@ -1,11 +1,12 @@
-"""Write tests/sampling/benchmark_digests.json: what the benchmark's version promises, as digests;
-or compare with it.
+"""Pin the benchmark: its digests, and where the draws of its episodes succeed; or compare.
 
-python benchmarks/pin.py [--check] [--out tests/sampling/benchmark_digests.json] [--json FILE]
+python benchmarks/pin.py [--check] [--json FILE]
 
-Pinned are the definition (`sampling/benchmark.py`), the specs of every seed of all splits (of
-``train`` the first 220), and images of the default renderer at 64 px. A digest that changes is a
-new version of the benchmark.
+``--digests`` (tests/sampling/benchmark_digests.json) holds digests of the definition
+(`sampling/benchmark.py`), of the specs of every seed of all splits (of ``train`` the first 220),
+and of images of the default renderer at 64 px. A digest that changes is a new benchmark version.
+``--entries`` (dynahoi_lerobot/sampling/accepted.npz) holds the accepted draw of every seed of the
+splits of fixed size. Every seed is searched from its first draw.
 """
 
 import hashlib
@@ -13,6 +14,7 @@ import json
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from itertools import batched
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +25,10 @@ from dynahoi_lerobot.core.agent import Expert, WorldView
 from dynahoi_lerobot.core.conventions import PALM_DOF
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.rollout.loop import evaluate
+from dynahoi_lerobot.sampling.accepted import ENTRIES, ENTRY, checksum_of, entry_of
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.sampler import sample_specs, search
+from dynahoi_lerobot.sampling.sampler import Candidate, resume, sample_specs, search
 from dynahoi_lerobot.world.batch import WorldBatch
 
 DIGESTS = Path(__file__).parents[1] / "tests" / "sampling" / "benchmark_digests.json"
@@ -40,7 +43,14 @@ DECIMALS = 6
 differently."""
 ACROSS = 11
 """Digests in a line of the file."""
-TINY = {"out": Path("digests.json"), "seeds": 2, "with_images": 1}
+AT_ONCE = 110
+"""Seeds whose targets are rolled ahead together."""
+TINY = {
+    "digests": Path("digests.json"),
+    "entries": Path("accepted.npz"),
+    "seeds": 2,
+    "with_images": 1,
+}
 
 Pinned = dict[str, Any]
 """``version`` and ``definition``; ``specs`` and ``images`` by split and seed."""
@@ -62,43 +72,52 @@ class Closing(Expert):
 
 def main() -> int:
     parser = benchmark_parser(__doc__, **TINY)
-    parser.add_argument("--out", type=Path, default=DIGESTS)
+    parser.add_argument("--digests", type=Path, default=DIGESTS)
+    parser.add_argument("--entries", type=Path, default=ENTRIES)
     parser.add_argument(
         "--check",
         action="store_true",
-        help="write nothing; compare with the file and exit 1 if it differs",
+        help="write nothing; compare with the files and exit 1 if they differ",
     )
     parser.add_argument("--seeds", type=int, help="pin no more than the first seeds of each split")
     parser.add_argument(
         "--with-images", type=int, default=IMAGE_EPISODES, help="episodes of each split with images"
     )
     args = parser.parse_args()
-    found = pin(args.seeds, args.with_images)
-    write_numbers(args, specs=sum(map(len, found["specs"].values())), images=len(found["images"]))
+    pinned, entries = pin(args.seeds, args.with_images)
+    episodes = sum(map(len, pinned["specs"].values()))
+    write_numbers(args, specs=episodes, images=len(pinned["images"]))
     if args.check:
-        differing = differences(found, read(args.out))
-        print("\n".join(differing) or f"{args.out}: nothing differs")
-        return bool(differing)
-    args.out.write_text(json.dumps(_in_lines(found), indent=1) + "\n")
-    print(f"{args.out}: {BENCHMARK.version}, {sum(map(len, found['specs'].values()))} episodes")
-    print(f"EPISODES_DIGEST in dynahoi_lerobot/sampling/benchmark.py: {digest_of(found)}")
+        wanted = read(args.digests)
+        sentences = differences(pinned, wanted)
+        sentences += entry_differences(entries, benchmark_id(wanted), args.entries)
+        print("\n".join(sentences) or f"{args.digests} and {args.entries}: nothing differs")
+        return bool(sentences)
+    args.digests.write_text(json.dumps(_in_lines(pinned), indent=1) + "\n")
+    identity = np.array(benchmark_id(pinned))
+    np.savez_compressed(args.entries, benchmark=identity, **entries)  # type: ignore[arg-type]
+    print(f"{args.digests} and {args.entries}: {identity}, {episodes} episodes")
+    print(f"EPISODES_DIGEST in dynahoi_lerobot/sampling/benchmark.py: {digest_of(pinned)}")
     return 0
 
 
-def pin(seeds: int | None = None, with_images: int = IMAGE_EPISODES) -> Pinned:
-    """Return all digests, of the first ``seeds`` of each split only if that is given."""
-    return {
-        "version": BENCHMARK.version,
-        "definition": definition(),
-        "specs": {
-            split: spec_digests(split, pinned_seeds(split)[:seeds]) for split in BENCHMARK.streams
-        },
-        "images": {
-            name: digest
-            for split in BENCHMARK.streams
-            for name, digest in image_digests(split, with_images).items()
-        },
-    }
+def pin(
+    seeds: int | None = None, with_images: int = IMAGE_EPISODES
+) -> tuple[Pinned, dict[str, np.ndarray]]:
+    """Return all digests, and the entries of the splits of fixed size; of the first ``seeds`` of
+    each split only if that is given.
+    """
+    specs = {}
+    entries = {}
+    images: dict[str, str] = {}
+    for split in BENCHMARK.streams:
+        accepted = searched(split, pinned_seeds(split)[:seeds])
+        specs[split] = {spec.seed: spec_digest(spec) for _, spec in accepted}
+        if BENCHMARK.splits[split].size:
+            entries[split] = entries_of(split, accepted)
+        images |= image_digests(split, with_images)
+    pinned = {"version": BENCHMARK.version, "definition": definition()}
+    return pinned | {"specs": specs, "images": images}, entries
 
 
 def definition() -> str:
@@ -116,12 +135,36 @@ def pinned_seeds(split: str) -> range:
     return range(BENCHMARK.splits[split].size or TRAIN_SEEDS)
 
 
-def spec_digests(split: str, seeds: Sequence[int], *, threads: int = 0) -> dict[int, str]:
-    """Return a digest of all that each spec holds but its code, by seed; each is searched from its
-    first draw.
-    """
-    found = search(Recipe(split=split), seeds, threads=threads)
-    return {spec.seed: spec_digest(spec) for _, spec in found}
+def benchmark_id(pinned: Pinned) -> str:
+    """Return the ``BENCHMARK_ID`` of `sampling/benchmark.py` that digests lead to."""
+    return f"{pinned['version']}-{digest_of(pinned)}"
+
+
+def searched(
+    split: str, seeds: Sequence[int], *, threads: int = 0
+) -> list[tuple[Candidate, EpisodeSpec]]:
+    """Return the accepted candidate and the spec of each seed, searched from its first draw."""
+    recipe = Recipe(split=split)
+    return [
+        one for some in batched(seeds, AT_ONCE) for one in search(recipe, some, threads=threads)
+    ]
+
+
+def entries_of(split: str, accepted: Sequence[tuple[Candidate, EpisodeSpec]]) -> np.ndarray:
+    """Return (K,) `ENTRY` of accepted candidates and their specs."""
+    recipe = Recipe(split=split)
+    entries = []
+    for some in batched(accepted, AT_ONCE):
+        starts = [
+            (spec.seed, entry_of(candidate.start, candidate.timing, home=0, checksum=0))
+            for candidate, spec in some
+        ]
+        resumed = resume(recipe, starts, threads=0)
+        for (candidate, spec), (again, paths_w, homes) in zip(some, resumed, strict=True):
+            (home, *_) = np.flatnonzero((homes == spec.home_pos_w).all(axis=1))
+            checksum = checksum_of(paths_w, spec.home_pos_w, again.target)
+            entries.append(entry_of(candidate.start, candidate.timing, int(home), checksum))
+    return np.array(entries, ENTRY)
 
 
 def spec_digest(spec: EpisodeSpec) -> str:
@@ -172,7 +215,22 @@ def differences(found: Pinned, wanted: Pinned) -> list[str]:
     return sentences + _differing("images", found["images"], wanted["images"])
 
 
-def _differing(noun: str, found: Mapping[Any, str], wanted: Mapping[Any, str]) -> list[str]:
+def entry_differences(entries: dict[str, np.ndarray], identity: str, path: Path) -> list[str]:
+    """Return a sentence for every split whose entries a file has otherwise, and for another
+    benchmark.
+    """
+    with np.load(path) as stored:
+        name = str(stored["benchmark"])
+        sentences = [] if name == identity else [f"benchmark is {identity!r}; {path} has {name!r}"]
+        for split, rows in entries.items():
+            pairs = (
+                {i: row.tobytes() for i, row in enumerate(some)} for some in (rows, stored[split])
+            )
+            sentences += _differing(f"entries of {split}", *pairs)
+    return sentences
+
+
+def _differing(noun: str, found: Mapping[Any, Any], wanted: Mapping[Any, Any]) -> list[str]:
     keys = [str(key) for key, digest in found.items() if wanted.get(key) != digest]
     return [f"{len(keys)} of {len(found)} {noun} differ, the first is {keys[0]}"] if keys else []
 

@@ -1,6 +1,6 @@
 """Play the real page in the system's Chromium, along the expert's path: S_loc, jitter and latency.
 
-    python benchmarks/play.py --episodes 20 --screenshots pictures
+    python benchmarks/play.py --episodes 20
     python benchmarks/play.py --episodes 1 --film docs/images/play.gif
 
 The pointer is moved and keys are pressed through the DevTools protocol, so that everything between
@@ -19,7 +19,6 @@ import tempfile
 from collections.abc import Coroutine
 from contextlib import asynccontextmanager
 from dataclasses import replace
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +41,6 @@ from dynahoi_lerobot.scene.pinhole import Pinhole
 
 DEADBAND_M = 0.01
 CLOSED_RAD = 0.1
-WIDTHS_PX = (390, 820, 1280)
 FILM_PX = (820, 760)
 FILM_FPS = 10
 RESULT_S = 3.0
@@ -72,7 +70,8 @@ class Tab:
     async def _read(self) -> None:
         async for message in self._socket:
             answer = json.loads(message.data)
-            if waiting := self._answers.pop(answer.get("id"), None):
+            waiting = self._answers.pop(answer.get("id"), None)
+            if waiting is not None:
                 waiting.set_result(answer)
             elif answer.get("method") == "Page.screencastFrame":
                 told = answer["params"]
@@ -108,28 +107,10 @@ class Tab:
             kind = "keyDown" if code in keys else "keyUp"
             await self.call("Input.dispatchKeyEvent", type=kind, code=code, key=name)
 
-    async def _resize(self, width: int, height: int) -> None:
-        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
-        await self.call("Emulation.setDeviceMetricsOverride", **size)
-
-    async def screenshots(self, folder: Path, name: str) -> None:
-        """Take pictures of the whole page in all widths, light and dark."""
-        for width, scheme in product(WIDTHS_PX, ("light", "dark")):
-            await self._resize(width, 900)
-            await self.call(
-                "Emulation.setEmulatedMedia",
-                features=[{"name": "prefers-color-scheme", "value": scheme}],
-            )
-            await asyncio.sleep(0.3)
-            told = await self.call(
-                "Page.captureScreenshot", format="png", captureBeyondViewport=True
-            )
-            (folder / f"{name}_{width}_{scheme}.png").write_bytes(base64.b64decode(told["data"]))
-        await self.call("Emulation.clearDeviceMetricsOverride")
-
     async def film(self, path: Path, episode: Coroutine[Any, Any, None]) -> None:
         """Film the page in a small window during an episode, and its result, as a GIF."""
-        await self._resize(*FILM_PX)
+        size = {"width": FILM_PX[0], "height": FILM_PX[1], "deviceScaleFactor": 1, "mobile": False}
+        await self.call("Emulation.setDeviceMetricsOverride", **size)
         await self.call("Page.startScreencast", format="png", maxWidth=FILM_PX[0] // 2)
         await episode
         await asyncio.sleep(RESULT_S)
@@ -232,12 +213,6 @@ async def played(args: argparse.Namespace) -> dict[str, Any]:
             await follow_expert(tab, world)
             await tab.until(f"(window.results || []).length >= {2 * (number + 1)}")
         figures = await tab.value("measured()")
-        if args.screenshots:
-            args.screenshots.mkdir(parents=True, exist_ok=True)
-            await tab.screenshots(args.screenshots, "result")
-            await tab.value("[...document.querySelectorAll('#panel button')].at(0).click()")
-            await tab.until("playing && frame")
-            await tab.screenshots(args.screenshots, "playing")
         if args.film:
             await tab.value("[...document.querySelectorAll('#panel button')].at(0).click()")
             await tab.until("playing && frame")
@@ -253,7 +228,6 @@ async def played(args: argparse.Namespace) -> dict[str, Any]:
 def main() -> None:
     parser = benchmark_parser(__doc__, episodes=1)
     parser.add_argument("--episodes", type=int, default=20)
-    parser.add_argument("--screenshots", type=Path, help="folder for pictures of the page")
     parser.add_argument("--film", type=Path, help="GIF of a further, practised episode")
     args = parser.parse_args()
     figures = asyncio.run(played(args))

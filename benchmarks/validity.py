@@ -4,13 +4,12 @@ the expert.
 python benchmarks/validity.py [--episodes 220] [--control standard late] [--hand opposed] [--json
 FILE] python benchmarks/validity.py --episodes 1000 --control standard late unlimited --json
 docs/figures/baselines.json python benchmarks/validity.py --search 1760 [--search-class unlimited]
-[--homes 8] [--save FILE] python benchmarks/validity.py --episodes 1000 --baselines --sightless 1760
+[--homes 8] [--save FILE]
 
 Brackets are Wilson's 95 % intervals. --search looks for a better fixed path on that many episodes
 of train and prints what it would score on as many episodes that it has not seen and on the split.
 --homes K looks for K paths instead, one for each cluster of homes. --save writes what was found, in
-the format of experts/blind_path.csv or nearest_home.csv. --sightless trains regressors on so many
-episodes of train, on what a policy sees but pictures.
+the format of experts/blind_path.csv or nearest_home.csv.
 """
 
 import argparse
@@ -27,10 +26,10 @@ from support.fixed_paths import (
     search_path,
 )
 from support.options import benchmark_parser, pinned_benchmark, write_numbers
-from support.sightless import FINENESS, FRAMES, WIDTH, Rate, rate, sightless
 
 from dynahoi_lerobot.core.protocols import CONTROL_CLASSES
 from dynahoi_lerobot.core.spec import EpisodeSpec
+from dynahoi_lerobot.evaluate.summary import wilson
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.metrics import METRICS
@@ -52,12 +51,13 @@ BASELINES = (
     "intercept",
 )
 WORLDS = 64
+FRAMES, WIDTH, FINENESS = 80, 64, 2
+"""Of the paths that are searched: length, and see ``search_path``."""
+Rate = dict[str, float]
 
 
 def main() -> None:
-    parser = benchmark_parser(
-        __doc__, episodes=22, control=["late"], baselines=["hold"], search=4, sightless=44
-    )
+    parser = benchmark_parser(__doc__, episodes=22, control=["late"], baselines=["hold"], search=4)
     parser.add_argument("--episodes", type=int, default=220)
     parser.add_argument("--split", default="test")
     parser.add_argument(
@@ -83,24 +83,21 @@ def main() -> None:
         "--homes", type=int, default=1, help="search a path for each of so many clusters of homes"
     )
     parser.add_argument("--save", type=Path, help="file for what was found")
-    parser.add_argument(
-        "--sightless", type=int, default=0, help="episodes that regressors learn from; 0 for none"
-    )
     args = parser.parse_args()
     specs = sample_specs(Recipe(split=args.split), range(args.episodes), threads=0)
     found = search(args, specs) if args.search else {}
-    learned = (
-        sightless(sample_specs(Recipe(), range(args.sightless), threads=0), specs)
-        if args.sightless
-        else {}
-    )
     tables = {
         control: {name: play(control, name, specs, args.hand) for name in args.baselines}
         for control in args.control
     }
-    write_numbers(
-        args, benchmark=pinned_benchmark(), classes=tables, found=found, sightless=learned
-    )
+    write_numbers(args, benchmark=pinned_benchmark(), classes=tables, found=found)
+
+
+def rate(outcomes: Sequence[bool]) -> Rate:
+    """Return a share and its interval [%]."""
+    low, high = wilson(sum(outcomes), len(outcomes))
+    share = sum(outcomes) / len(outcomes)
+    return {"value": 100 * share, "low": 100 * low, "high": 100 * high, "n": len(outcomes)}
 
 
 def play(control: str, name: str, specs: Sequence[EpisodeSpec], hand: str) -> dict[str, Rate]:
@@ -151,8 +148,8 @@ def search(args: argparse.Namespace, specs: Sequence[EpisodeSpec]) -> dict[str, 
             )
         )
     if args.save:
-        centres, paths = table
-        rows = paths[0] if args.homes == 1 else np.hstack([centres, paths.reshape(len(paths), -1)])
+        centers, paths = table
+        rows = paths[0] if args.homes == 1 else np.hstack([centers, paths.reshape(len(paths), -1)])
         np.savetxt(args.save, rows, fmt="%.4f", delimiter=",")
     return rates
 
@@ -165,9 +162,9 @@ def search_paths(
     """
     targets = relative_paths(specs, FRAMES)
     homes_w = homes_of(specs)
-    centres = cluster(homes_w, clusters)
-    labels = nearest(homes_w, centres)
-    return centres, np.stack(
+    centers = cluster(homes_w, clusters)
+    labels = nearest(homes_w, centers)
+    return centers, np.stack(
         [search_path(targets[labels == k], speed_m_s, WIDTH, FINENESS) for k in range(clusters)]
     )
 

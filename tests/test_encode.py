@@ -82,6 +82,19 @@ def test_verify_checks_what_is_left_of_it(encoded: Path, tmp_path: Path, capsys)
     assert main(["verify", str(root)]) == 1
 
 
+def test_a_part_of_it_is_copied_and_its_card_names_the_numbers(encoded: Path, tmp_path: Path):
+    out = tmp_path / "part"
+    assert main(["filter", str(encoded), "--out", str(out), "--drop", "0"]) == 0
+    found = frame_column(out, SIGHTINGS_PREFIX + "ego")
+    np.testing.assert_array_equal(
+        found, frame_column(encoded, SIGHTINGS_PREFIX + "ego")[-len(found) :]
+    )
+    (line,) = [
+        one for one in (out / "README.md").read_text().split("\n") if SIGHTINGS_PREFIX in one
+    ]
+    assert "log" in line
+
+
 @pytest.fixture(scope="module")
 def with_state(dataset: Path, once: Once) -> Path:
     def make(out: Path) -> Path:

@@ -75,7 +75,7 @@ def test_its_size_and_rest_height_are_those_of_its_solids_which_can_be_stored(na
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_origin_is_its_centre_of_mass(name: str):
+def test_the_origin_is_its_center_of_mass(name: str):
     """To 2 % of the extent, four standard errors of as many random points; solids that overlap
     count once.
     """
@@ -199,7 +199,7 @@ def test_an_ellipsoid_is_exact_near_its_surface_and_close_elsewhere():
     assert error[np.abs(expected) < NEAR_M].max() < 1e-4
     assert (error / np.abs(expected))[expected > NEAR_M].max() < 0.1
     assert _ours("ellipsoid", np.zeros((1, 3)))[0] == pytest.approx(-0.02), (
-        "the centre is one half axis deep"
+        "the center is one half axis deep"
     )
 
 

@@ -151,18 +151,18 @@ def cluster(homes_w: np.ndarray, count: int) -> np.ndarray:
     """Return (count, 3) the centers of ``count`` clusters of homes (N, 3) [m], world, by Lloyd's
     algorithm.
     """
-    centres = homes_w[np.random.default_rng(0).choice(len(homes_w), count, replace=False)]
+    centers = homes_w[np.random.default_rng(0).choice(len(homes_w), count, replace=False)]
     for _ in range(SWEEPS):
-        members = [homes_w[nearest(homes_w, centres) == k] for k in range(count)]
-        centres = np.stack(
-            [m.mean(axis=0) if len(m) else c for m, c in zip(members, centres, strict=True)]
+        members = [homes_w[nearest(homes_w, centers) == k] for k in range(count)]
+        centers = np.stack(
+            [m.mean(axis=0) if len(m) else c for m, c in zip(members, centers, strict=True)]
         )
-    return centres
+    return centers
 
 
-def nearest(homes_w: np.ndarray, centres: np.ndarray) -> np.ndarray:
+def nearest(homes_w: np.ndarray, centers: np.ndarray) -> np.ndarray:
     """Return (N,) the index of the center (C, 3) nearest to each home (N, 3)."""
-    return np.linalg.norm(homes_w[:, None] - centres, axis=2).argmin(axis=1)
+    return np.linalg.norm(homes_w[:, None] - centers, axis=2).argmin(axis=1)
 
 
 def hits_by_cluster(
@@ -175,9 +175,9 @@ def hits_by_cluster(
         targets: as ``relative_paths`` returns them.
         table: (C, 3) centers [m], world, and (C, K, 3) their paths.
     """
-    centres, paths = table
+    centers, paths = table
     met = np.zeros(len(homes_w), bool)
-    labels = nearest(homes_w, centres)
+    labels = nearest(homes_w, centers)
     for k, path in enumerate(paths):
         met[labels == k] = hits_along(path, targets[labels == k])
     return met

@@ -18,6 +18,9 @@ from typing import Any
 
 BEGIN = time.perf_counter()
 os.environ.setdefault("MUJOCO_GL", "egl")
+WARM_UP_STEPS = 5
+WANDER = 0.01
+"""Standard deviation of an action around the state [m, rad]."""
 Numbers = dict[str, float]
 
 
@@ -30,18 +33,14 @@ class Settings:
     """How large measures are.
 
     Attributes:
-        checkout: where the measured build lies, for what it measures against.
         episodes: of a generated dataset.
-        plain_episodes: of one without images.
         processes: that generate.
         num_envs: worlds of an environment.
         steps: of it.
         image_size: side of images [px].
     """
 
-    checkout: str
     episodes: int = 256
-    plain_episodes: int = 256
     processes: int = os.cpu_count() or 1
     num_envs: int = 64
     steps: int = 240
@@ -50,21 +49,14 @@ class Settings:
 
 def generation(settings: Settings) -> Numbers:
     """Until a world moves, imports included; then each frame, with all that is done with it."""
-    return _generate(settings.episodes, settings.image_size, settings.processes)
-
-
-def plain_generation(settings: Settings) -> Numbers:
-    """The same without images, where the largest process is the one that merges."""
-    return _generate(settings.plain_episodes, 0, settings.processes)
-
-
-def _generate(episodes: int, image_size: int, processes: int) -> Numbers:
     from dynahoi_lerobot.generate.pipeline import generate
     from dynahoi_lerobot.generate.plan import LARGEST_SHARD, GenerationPlan
     from dynahoi_lerobot.rollout.recording import Recording
 
-    shard = min(LARGEST_SHARD, -(-episodes // processes))  # as in a large dataset
-    plan = GenerationPlan(Recording.of(image_size=image_size), episodes, shard_episodes=shard)
+    processes = settings.processes
+    shard = min(LARGEST_SHARD, -(-settings.episodes // processes))  # as in a large dataset
+    recording = Recording.of(image_size=settings.image_size)
+    plan = GenerationPlan(recording, settings.episodes, shard_episodes=shard)
     with tempfile.TemporaryDirectory() as folder:
         note = Path(folder) / "first step"
         record = partial(_record, note)
@@ -105,51 +97,41 @@ def _record(note: Path, recording: Any, seeds: Sequence[int]) -> Iterator[Any]:
 
 def state_env(settings: Settings) -> Numbers:
     """Steps of the vector environment without images."""
-    return _steps(_native, settings, image_size=0)
+    return _steps(settings, image_size=0)
 
 
 def image_env(settings: Settings) -> Numbers:
     """The same with images."""
-    return _steps(_native, settings, image_size=settings.image_size)
+    return _steps(settings, image_size=settings.image_size)
 
 
-def async_env(settings: Settings) -> Numbers:
-    """Steps of ``AsyncVectorEnv`` over one plain env per world, without images."""
-    sys.path.insert(0, f"{settings.checkout}/benchmarks")
-    return _steps(_one_process_each, settings, image_size=0)
-
-
-def _native(num_envs: int, image_size: int) -> Any:
+def _steps(settings: Settings, image_size: int) -> Numbers:
     from dynahoi_lerobot.env import DynahoiVectorEnv
 
-    return DynahoiVectorEnv(num_envs, image_size=image_size)
+    env = DynahoiVectorEnv(settings.num_envs, image_size=image_size)
+    wall_s, cpu_s = wander(env, settings.steps)
+    thousands = settings.steps * settings.num_envs / 1000
+    return {"1,000 steps, wall s": wall_s / thousands, "1,000 steps, CPU s": cpu_s / thousands}
 
 
-def _one_process_each(num_envs: int, image_size: int) -> Any:
-    from gymnasium.vector import AsyncVectorEnv
-    from support.straightforward import StraightforwardEnv  # type: ignore[import-not-found]
-
-    return AsyncVectorEnv([partial(StraightforwardEnv, image_size)] * num_envs)
-
-
-def _steps(make: Callable[[int, int], Any], settings: Settings, image_size: int) -> Numbers:
-    """Actions wander about the measured state, as in `env.py`."""
+def wander(env: Any, steps: int) -> tuple[float, float]:
+    """Return wall and processor time [s] of so many steps of a vector env, whose hands wander about
+    where they are; close it.
+    """
     import numpy as np
 
-    env = make(settings.num_envs, image_size)
     rng = np.random.default_rng(0)
-    seen, _ = env.reset(seed=0)
+    seen, _ = env.reset(seed=0)  # of the first world; the others follow
     begin: tuple[float, float] = _spent()
-    for step in range(-5, settings.steps):
+    for step in range(-WARM_UP_STEPS, steps):
         if step == 0:
             begin = _spent()
         state = seen["agent_pos"]
-        actions = (state + rng.normal(0.0, 0.01, state.shape)).astype(np.float32)
+        actions = (state + rng.normal(0.0, WANDER, state.shape)).astype(np.float32)
         seen = env.step(actions)[0]
     wall_s, cpu_s = (after - before for after, before in zip(_spent(), begin, strict=True))
     env.close()
-    thousands = settings.steps * settings.num_envs / 1000
-    return {"1,000 steps, wall s": wall_s / thousands, "1,000 steps, CPU s": cpu_s / thousands}
+    return wall_s, cpu_s
 
 
 def evaluation(settings: Settings) -> Numbers:
@@ -169,36 +151,6 @@ def evaluation(settings: Settings) -> Numbers:
         wall_s, cpu_s = _spent()
         return {"first frame, wall s": wall_s, "first frame, CPU s": cpu_s}
     raise RuntimeError("nothing was played")
-
-
-def shadows(settings: Settings) -> Numbers:
-    """Images of 32 worlds, with shadows and without, on one thread."""
-    from dynahoi_lerobot.rules import Rules
-    from dynahoi_lerobot.sampling.recipe import Recipe
-    from dynahoi_lerobot.sampling.sampler import sample_specs
-    from dynahoi_lerobot.world.batch import WorldBatch
-
-    worlds = 32
-    rounds = 8
-    specs = sample_specs(Recipe(split="test"), range(worlds))
-    seconds = {}
-    batches = {}
-    for renderer in ("tiles", "flat"):
-        rules = Rules(image_size=settings.image_size, renderer=renderer)
-        batches[renderer] = WorldBatch(rules, worlds, 1)
-        batches[renderer].reset(range(worlds), specs)
-        batches[renderer].cameras.render()
-        seconds[renderer] = 0.0
-    for _ in range(rounds):  # in turns
-        for renderer, batch in batches.items():
-            _, before = _spent()
-            batch.cameras.render()
-            seconds[renderer] += 1000 * (_spent()[1] - before) / (rounds * worlds)
-    return {
-        "1,000 images with shadows, CPU s": seconds["tiles"],
-        "1,000 images without, CPU s": seconds["flat"],
-        "images/s with shadows, share of without": seconds["flat"] / seconds["tiles"],
-    }
 
 
 def _spent() -> tuple[float, float]:
@@ -235,16 +187,7 @@ def _largest_mb() -> float:
 
 
 MEASURES: dict[str, Callable[[Settings], Numbers]] = {
-    measure.__name__: measure
-    for measure in (
-        generation,
-        plain_generation,
-        state_env,
-        image_env,
-        async_env,
-        evaluation,
-        shadows,
-    )
+    measure.__name__: measure for measure in (generation, state_env, image_env, evaluation)
 }
 
 

@@ -1,4 +1,4 @@
-"""The options that all benchmarks share, and the file in which they leave their numbers."""
+"""The options that all benchmarks share, and how they tell and store their numbers."""
 
 import argparse
 import hashlib
@@ -7,6 +7,7 @@ import os
 import platform
 import re
 import shlex
+import statistics
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -91,6 +92,11 @@ def write_numbers(args: argparse.Namespace, **numbers: Any) -> None:
         )
         + "\n"
     )
+
+
+def spread(values: Sequence[float]) -> str:
+    """Return the median of values, and the least and the greatest."""
+    return f"{statistics.median(values):5.2f} ({min(values):.2f} to {max(values):.2f})"
 
 
 def provenance() -> dict[str, str]:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NoReturn, TextIO, cast
 
 from dynahoi_lerobot import __version__
-from dynahoi_lerobot.core.arguments import CommandError, add_options, read_options
+from dynahoi_lerobot.core.arguments import BAD_INPUT, CommandError, add_options, read_options
 from dynahoi_lerobot.core.caches import ensure_caches
 from dynahoi_lerobot.core.escaping import Terminal, shortened
 from dynahoi_lerobot.core.files import check_output
@@ -62,10 +62,10 @@ FileNotFoundError for bad input, CommandError and OSError for a failure.
 """
 
 FAILED = 1
-BAD_INPUT = 2
 STOPPED = 130
 CLOSED = 141
-"""Exit codes; the last two as shells have them for programs ended by SIGINT and SIGPIPE."""
+"""Exit codes beside ``BAD_INPUT``; the last two as shells have them for programs ended by SIGINT
+and SIGPIPE."""
 EXTRAS = {
     "datatrove": "scale",
     "ray": "scale",

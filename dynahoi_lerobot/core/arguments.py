@@ -9,6 +9,9 @@ from dataclasses import MISSING, Field, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any, get_type_hints
 
+BAD_INPUT = 2
+"""Exit code."""
+
 
 class CommandError(RuntimeError):
     """Work that cannot be done though nothing is wrong with the arguments; the message is one

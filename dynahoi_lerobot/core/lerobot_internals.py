@@ -13,6 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from dynahoi_lerobot.core.arguments import BAD_INPUT
+
 VIDEO_BACKEND_LOGGER = "lerobot.utils.import_utils"
 """Which warns in 100 lines that torchcodec finds no FFmpeg libraries, and that PyAV decodes
 instead."""
@@ -20,8 +22,6 @@ ONE_EPISODE_OPTION = "lerobot_new_rollout"
 """Reset option of its evaluation: play one episode in every world, then wait for the next reset."""
 RENAMING_STEP = "rename_observations_processor"
 """The processor step that applies ``--rename_map``."""
-BAD_INPUT = 2
-"""Exit code."""
 
 
 @contextmanager

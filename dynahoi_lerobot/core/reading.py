@@ -55,11 +55,11 @@ def reading(path: Path, *others: type[Exception]) -> Iterator[None]:
     except (ReadError, *others):
         raise
     except Exception as error:  # a damaged file makes every library raise something else
-        told = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
         # a number where the file was open, or PyAV's function
         named = getattr(error, "filename", None)
         file = named if isinstance(named, str) and os.sep in named else path
-        raise ReadError(f"{file} cannot be read: {shortened(told, 300)}") from error
+        raise ReadError(f"{file} cannot be read: {shortened(reason, 300)}") from error
 
 
 @contextmanager
@@ -156,19 +156,10 @@ def require_schema(path: Path, content: Mapping[str, Any], schema: int, remedy: 
     """Raise a ReadError, which ends in ``remedy``, unless what a file holds is of the ``schema``
     that is read here.
     """
-    found = content.get("schema")
-    if type(found) is not int or found != schema:
-        told = f"schema {found!r:.40}" if "schema" in content else "no schema"
-        raise ReadError(f"{path} has {told}, and this version reads schema {schema}; {remedy}")
-
-
-def fits(value: Any, hint: Any) -> bool:
-    """Tell whether a value of JSON is of a type such as ``dict[str, list[int]] | None``."""
-    try:
-        validated(hint, value)
-    except TypeError:
-        return False
-    return True
+    stored = content.get("schema")
+    if type(stored) is not int or stored != schema:
+        version = f"schema {stored!r:.40}" if "schema" in content else "no schema"
+        raise ReadError(f"{path} has {version}, and this version reads schema {schema}; {remedy}")
 
 
 def validated(hint: Any, value: Any, name: str = "") -> Any:
@@ -196,12 +187,8 @@ def validated(hint: Any, value: Any, name: str = "") -> Any:
 @cache
 def _adapter(hint: Any) -> TypeAdapter[Any]:
     from pydantic import TypeAdapter
-    from pydantic.errors import PydanticSchemaGenerationError
 
-    try:
-        return TypeAdapter(hint)
-    except PydanticSchemaGenerationError:  # such as a torch type in a policy's config
-        return TypeAdapter(Any)
+    return TypeAdapter(hint)
 
 
 def _in_one_sentence(error: ValidationError, name: str) -> Exception:
@@ -240,12 +227,12 @@ def _refuse_unknown(kind: type, values: Any) -> None:
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Refuse a key that appears twice, of which JSON's readers keep the first or the last."""
-    held: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for key, value in pairs:
-        if key in held:
+        if key in values:
             raise ValueError(f"key {key!r:.80} appears again")
-        held[key] = value
-    return held
+        values[key] = value
+    return values
 
 
 def _finite(text: str) -> float:
@@ -304,17 +291,13 @@ def read_arrays(path: Path, names: Collection[str]) -> dict[str, np.ndarray]:
         return arrays
 
 
-def tensor_types(path: Path) -> dict[str, tuple[str, tuple[int, ...]]]:
-    """Return type, such as ``F32``, and shape of every tensor of a safetensors file by name, from
-    its header.
-    """
+def tensor_shapes(path: Path) -> dict[str, tuple[int, ...]]:
+    """Return the shape of every tensor of a safetensors file by name, from its header."""
     from safetensors import safe_open
 
     with reading(path), safe_open(regular(path), "numpy") as tensors:
-        slices = {name: tensors.get_slice(name) for name in tensors.keys()}  # noqa: SIM118 - no mapping
-        return {
-            name: (tensor.get_dtype(), tuple(tensor.get_shape())) for name, tensor in slices.items()
-        }
+        names = tensors.keys()  # no mapping
+        return {name: tuple(tensors.get_slice(name).get_shape()) for name in names}
 
 
 def open_table(path: Path) -> pq.ParquetFile:
@@ -346,9 +329,27 @@ def read_table(path: Path, columns: Collection[str] | None = None, filters: Any 
         return file.read(names).select(names)
 
 
-def read_rows(path: Path, columns: Collection[str] | None = None) -> Iterator[dict[str, Any]]:
-    """Yield the rows of a Parquet file, or some columns of them; a few at a time are in memory."""
-    names = None if columns is None else list(columns)
+def read_rows(path: Path, schema: pa.Schema) -> Iterator[dict[str, Any]]:
+    """Yield the rows of a Parquet file, its columns of a schema in their types; a few at a time are
+    in memory.
+    """
+    import pyarrow as pa
+
     with reading(path), open_table(path) as file:
-        for batch in file.iter_batches(ROWS_AT_ONCE, columns=names):
-            yield from batch.to_pylist()
+        missing = sorted(set(schema.names) - set(file.schema_arrow.names))
+        if missing:
+            raise ValueError(f"it has no column {missing[0]!r}")
+        for batch in file.iter_batches(ROWS_AT_ONCE, columns=schema.names):
+            columns = [_column(batch, field) for field in schema]
+            yield from pa.RecordBatch.from_arrays(columns, schema=schema).to_pylist()
+
+
+def _column(batch: pa.RecordBatch, field: pa.Field) -> pa.Array:
+    """Return a column in the type of a field; ValueError if its values do not fit."""
+    column = batch[field.name]
+    try:
+        return column.cast(field.type)
+    except (ValueError, NotImplementedError) as error:
+        raise ValueError(
+            f"its column {field.name} is of type {column.type}; it must be {field.type}"
+        ) from error

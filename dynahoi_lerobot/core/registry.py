@@ -17,19 +17,15 @@ from types import MappingProxyType
 from typing import cast
 
 
-class UnknownNameError(ValueError):
-    """A name that nothing registers; the message lists the registered ones."""
-
-
 def known[T](noun: str, name: str, table: Mapping[str, T]) -> T:
     """Return the entry called ``name`` of a table.
 
     Raises:
-        UnknownNameError: if there is none; it suggests a name that is nearly the same and lists
+        ValueError: if there is none; it suggests a name that is nearly the same and lists
             all.
     """
     if name not in table:
-        raise UnknownNameError(
+        raise ValueError(
             f"unknown {noun} {name!r}{suggestion(name, table)}; "
             f"known: {', '.join(filter(None, table))}"
         )
@@ -99,7 +95,7 @@ class Registry[T]:
         return sorted({*self._entries, *self._slow})
 
     def __getitem__(self, name: str) -> T:
-        """Return the entry called ``name``; UnknownNameError if nothing is registered under it."""
+        """Return the entry called ``name``; ValueError if nothing is registered under it."""
         if name not in self._entries:
             self.check(name)
             if name in self._slow:
@@ -110,7 +106,7 @@ class Registry[T]:
         """Refuse a name that nothing is registered under, without importing what is.
 
         Raises:
-            UnknownNameError: naming the registered ones.
+            ValueError: naming the registered ones.
         """
         known(self.noun, name, dict.fromkeys(self.names()))
 

@@ -7,7 +7,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
@@ -64,7 +64,7 @@ def write_card(store: Store, manifest: Manifest) -> None:
     template = markdown_template(Path(__file__).with_suffix(".md").read_text())
     described = described_features(store.features)
     names = described["action"].names
-    told = {
+    meanings = {
         key: (feature.unit, feature.meaning) for key, feature in described.items()
     } | BOOKKEEPING_COLUMNS
     text = template.render(
@@ -82,7 +82,8 @@ def write_card(store: Store, manifest: Manifest) -> None:
         objects=_counts(store, "object"),
         histograms=histograms,
         frame_columns=[
-            _cells(key, e["dtype"], e["shape"], *told[key]) for key, e in store.features.items()
+            _cells(key, entry["dtype"], entry["shape"], *meanings.get(key, ("", _names(entry))))
+            for key, entry in store.features.items()
         ],
         privileged={
             by_frame: [
@@ -118,6 +119,13 @@ def _privileged_shape(feature: Feature) -> Sequence[object]:
     if feature.constant or feature.by_frame:
         return feature.column_shape
     return ("n", *feature.shape)
+
+
+def _names(entry: dict[str, Any]) -> str:
+    """Return the names of the elements of a column that no feature describes, such as a sensor's
+    sightings.
+    """
+    return markdown(", ".join(map(str, entry["names"] or ())))
 
 
 def _cells(key: str, dtype: str, shape: Sequence[object], unit: str, meaning: str) -> list[str]:

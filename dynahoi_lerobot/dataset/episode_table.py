@@ -18,8 +18,6 @@ from dynahoi_lerobot.dataset.columns import (
     Features,
     bookkeeping_arrays,
     image_keys,
-    is_list,
-    is_number,
     numeric_keys,
 )  # fmt: skip
 from dynahoi_lerobot.dataset.statistics import NAMES, Stats, table_stats
@@ -98,21 +96,6 @@ def row_schema(features: Features) -> pa.Schema:
         types |= {f"stats/{key}/{name}": _stat_type(key in images, name) for name in NAMES}
     types |= {"meta/episodes/chunk_index": pa.int64(), "meta/episodes/file_index": pa.int64()}
     return pa.schema(list(types.items()))
-
-
-def fits_column(found: pa.DataType, wanted: pa.DataType) -> bool:
-    """Tell whether a column may be of another type than ``row_schema`` says.
-
-    LeRobot's tools write other numeric and list types, and null where an episode from elsewhere has
-    no value.
-    """
-    if pa.types.is_null(found):
-        return True
-    if is_list(found) and is_list(wanted):
-        return fits_column(found.value_type, wanted.value_type)
-    if pa.types.is_string(wanted):
-        return found in (pa.string(), pa.large_string())
-    return is_number(found) and is_number(wanted)
 
 
 def _stat_type(image: bool, name: str) -> pa.DataType:

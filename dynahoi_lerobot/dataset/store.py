@@ -12,19 +12,17 @@ import numpy as np
 import pyarrow as pa
 
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.features import (
-    IMAGE_PREFIX,
-)
+from dynahoi_lerobot.core.features import IMAGE_PREFIX
 from dynahoi_lerobot.core.lerobot_internals import video_backend_unspoken
 from dynahoi_lerobot.core.reading import (
     ReadError,
-    fits,
     open_table,
     read_object,
     read_rows,
     read_table,
     reading,
     regular,
+    require,
 )  # fmt: skip
 from dynahoi_lerobot.dataset.columns import (
     Features,
@@ -39,7 +37,6 @@ from dynahoi_lerobot.dataset.columns import (
 from dynahoi_lerobot.dataset.episode_table import (
     STATS_PREFIX,
     EpisodeRow,
-    fits_column,
     own_values,
     row_schema,
 )  # fmt: skip
@@ -81,11 +78,11 @@ def open_dataset(root: Path, **options: Any) -> LeRobotDataset:
         dataset = LeRobotDataset(f"local/{root.name}", root=root, **options)
     lengths = [row["length"] for row in store.rows]
     chosen = range(len(lengths)) if dataset.episodes is None else dataset.episodes
-    found = dataset.hf_dataset.num_rows
-    wanted = sum(lengths[index] for index in chosen)
-    if found != wanted:
+    n_rows = dataset.hf_dataset.num_rows
+    n_frames = sum(lengths[index] for index in chosen)
+    if n_rows != n_frames:
         raise ValueError(
-            f"LeRobot reads {found} rows of {root}; its episodes have {wanted}; see `dynahoi "
+            f"LeRobot reads {n_rows} rows of {root}; its episodes have {n_frames}; see `dynahoi "
             f"verify`"
         )
     return dataset
@@ -107,8 +104,8 @@ def read_episodes(
             the privileged tables.
     """
     store = Store(root)
-    chosen = (store.stored(index) for index in indices or ())
-    for stored in store.stored_episodes() if indices is None else chosen:
+    some = (store.stored(index) for index in indices or ())
+    for stored in store.stored_episodes() if indices is None else some:
         yield store.as_episode(stored, images=images)
 
 
@@ -202,32 +199,32 @@ class Store:
         check_schema(self.root)
         path = self.root / INFO_PATH
         info = read_object(path, {"features": dict[str, dict[str, Any]]})
-        for key, entry in info["features"].items():
-            if "/" in key or not fits(
-                [entry.get("dtype"), entry.get("shape")], list[str | list[int]]
-            ):
-                raise ReadError(
-                    f"{path} describes the feature {key!r} by {entry!r:.200}, which no column has"
-                )
+        with reading(path):
+            for key, entry in info["features"].items():
+                if "/" in key:
+                    raise ValueError(f"no column can have the name {key!r}")
+                require(entry, {"dtype": str, "shape": list[int]})
         return info
 
     @property
     def fps(self) -> float:
         """Frames per second; ValueError if ``info.json`` gives no usable rate."""
-        fps = self.info.get("fps")
-        if isinstance(fps, bool) or not isinstance(fps, int | float) or not 1 <= fps <= 1000:
-            raise ReadError(f"{self.root / INFO_PATH} says fps is {fps!r}; it must be 1 to 1000")
-        return fps
+        path = self.root / INFO_PATH
+        with reading(path):
+            require(self.info, {"fps": float})
+        if not 1 <= self.info["fps"] <= 1000:
+            raise ReadError(f"{path} says fps is {self.info['fps']!r}; it must be 1 to 1000")
+        return self.info["fps"]
 
     def check_files(self) -> None:
         """Refuse a dataset of which LeRobot would open another file than its own, or one too large
         for memory.
         """
         for name, usual in (("data_path", DATA_PATH), ("video_path", VIDEO_PATH)):
-            told = self.info.get(name)
-            if told not in (usual, None):
+            template = self.info.get(name)
+            if template not in (usual, None):
                 raise ReadError(
-                    f"{self.root / INFO_PATH} says {name} is {told!r}; it must be {usual!r}"
+                    f"{self.root / INFO_PATH} says {name} is {template!r}; it must be {usual!r}"
                 )
         for path in self.tables():
             open_table(path).close()
@@ -235,10 +232,10 @@ class Store:
             regular(path)
         for path in self.root.glob("videos/*/*/*"):
             regular(path)
-        told = sum(row["length"] for row in self.rows)
-        if told != self.frame_count:
+        total = sum(row["length"] for row in self.rows)
+        if total != self.frame_count:
             raise ReadError(
-                f"{self.root} has {self.frame_count} frames, and episodes of {told}; see "
+                f"{self.root} has {self.frame_count} frames, and episodes of {total}; see "
                 f"`dynahoi verify`"
             )
 
@@ -273,7 +270,8 @@ class Store:
     @cached_property
     def tasks(self) -> list[str]:
         """The instructions in the table's order, by which LeRobot finds them."""
-        return [row["task"] for row in read_rows(self.root / TASKS_PATH, ["task"])]
+        schema = pa.schema({"task": pa.string()})
+        return [row["task"] for row in read_rows(self.root / TASKS_PATH, schema)]
 
     @cached_property
     def rows(self) -> list[EpisodeRow]:
@@ -282,50 +280,29 @@ class Store:
         Raises:
             ValueError: if a file of it is damaged, or there is none.
         """
-        rows: list[EpisodeRow] = []
+        rows = [row for path in self.row_files() for row in self._read_rows(path)]
         first = 0
-        for path in self.row_files():
-            for row in read_rows(path, self._row_columns(path)):
-                self._check_place(path, row, len(rows), first)
-                first = row["dataset_to_index"]
-                rows.append(row)
+        for index, row in enumerate(rows):
+            stop = first + (row["length"] or 0)
+            place = (row["episode_index"], row["dataset_from_index"], row["dataset_to_index"])
+            if place != (index, first, stop) or not first < stop <= self.frame_count:
+                words = ", ".join(f"{name} {row[name]}" for name in PLACE[:4])
+                raise ReadError(
+                    f"{self.root} places episode {index} at {words}, of {self.frame_count} frames"
+                )
+            first = stop
         return rows
 
-    def _row_columns(self, path: Path) -> list[str]:
-        """Return the columns of a file of the episode table, without statistics.
-
-        Raises:
-            ReadError: if the file has no tasks, or a column of another type.
+    def _read_rows(self, path: Path, *, statistics: bool = False) -> Iterator[EpisodeRow]:
+        """Yield the rows of a file of the episode table: what `row_schema` names and the file has,
+        in its types; LeRobot's tools write other numeric and list types.
         """
-        wanted = row_schema(self.features)
+        schema = row_schema(self.features)
         with open_table(path) as file:
-            held = {field.name: field.type for field in file.schema_arrow}
-        if "tasks" not in held:  # LeRobot's convert_image_to_video leaves it out
-            raise ReadError(f"{path} has no column 'tasks'")
-        for name, kind in held.items():
-            if name in wanted.names and not fits_column(kind, wanted.field(name).type):
-                told = wanted.field(name).type
-                raise ReadError(f"{path} has a column {name} of type {kind}; it must be {told}")
-        return [
-            name
-            for name, kind in held.items()
-            if not name.startswith(STATS_PREFIX)
-            and (name in wanted.names or not pa.types.is_nested(kind))
-        ]
-
-    def _check_place(self, path: Path, row: EpisodeRow, index: int, first: int) -> None:
-        """Refuse a row that does not place episode ``index`` from frame ``first`` on."""
-        videos = [name for name in row if name.startswith("videos/") and name.endswith("_index")]
-        for name in (*PLACE, *videos):
-            if type(row.get(name)) is not int or row[name] < 0:
-                raise ReadError(f"{path} says {name} of an episode is {row.get(name)!r}")
-        stop = first + row["length"]
-        found = (row["episode_index"], row["dataset_from_index"], row["dataset_to_index"])
-        if row["length"] == 0 or stop > self.frame_count or found != (index, first, stop):
-            told = ", ".join(f"{name} {row[name]}" for name in PLACE[:4])
-            raise ReadError(
-                f"{path} places episode {index} at {told}, of {self.frame_count} frames"
-            )
+            own = [name for name in schema.names if name in file.schema_arrow.names]
+        names = [name for name in own if statistics or not name.startswith(STATS_PREFIX)]
+        fields = [schema.field(name) for name in dict.fromkeys((*PLACE, "tasks", *names))]
+        return read_rows(path, pa.schema(fields))
 
     @property
     def episodes(self) -> int:
@@ -393,9 +370,9 @@ class Store:
         return {key: columns[key] for key in keys}
 
     def full_rows(self) -> Iterator[EpisodeRow]:
-        """Yield the rows of the episode table with all their columns."""
+        """Yield the rows of the episode table with their statistics."""
         for path in self.row_files():
-            yield from read_rows(path)
+            yield from self._read_rows(path, statistics=True)
 
     def data_path(self, row: EpisodeRow) -> Path:
         """Return the file that holds the episode's rows."""
@@ -419,8 +396,8 @@ class Store:
         """
         path = self.data_path(row)
         with reading(path):
-            wanted = np.arange(row["dataset_from_index"], row["dataset_to_index"])
-            if not np.array_equal(column_array(table, "index")[:, 0], wanted):
+            index = np.arange(row["dataset_from_index"], row["dataset_to_index"])
+            if not np.array_equal(column_array(table, "index")[:, 0], index):
                 raise ReadError(
                     f"{path} does not hold the frames of episode {row['episode_index']} in their "
                     f"order"
@@ -434,12 +411,12 @@ class Store:
         with reading(path):
             if is_video:
                 start = round(row[f"videos/{key}/from_timestamp"] * self.fps)
-                shown = decode(path, start, start + row["length"])
+                frames = decode(path, start, start + row["length"])
             else:
-                shown = (read_png(cell) for cell in table[key].to_pylist())
+                frames = (read_png(cell) for cell in table[key].to_pylist())
             shape = (row["length"], *self.features[key]["shape"])
             images = np.empty(shape, np.uint8)
-            for place, image in zip(range(row["length"]), shown, strict=True):
+            for place, image in zip(range(row["length"]), frames, strict=True):
                 if image.shape != shape[1:]:
                     raise ValueError(
                         f"it shows an image of shape {image.shape}; {self.root / INFO_PATH} says "
@@ -453,9 +430,9 @@ class Store:
         if not 0 <= index < self.episodes:
             raise IndexError(f"episode {index} does not exist; {self.root} holds {self.episodes}")
         for path in self.row_files():
-            found = self.table(path, episode=index)
-            if found.num_rows:
-                return found.to_pylist()[0]
+            rows = self.table(path, episode=index)
+            if rows.num_rows:
+                return rows.to_pylist()[0]
         raise IndexError(f"{self.root} holds no row of episode {index}")
 
     def stored(self, index: int) -> StoredEpisode:

@@ -80,9 +80,8 @@ def compare(
             the benchmark.
 
     Raises:
-        UnknownNameError: if the metric is not registered.
-        ValueError: if another condition or the version differs, naming both values; always for
-            different salts.
+        ValueError: if the metric is not registered; if another condition or the version differs,
+            naming both values; always for different salts.
     """
     refuse_mixed_streams((result.folder, result.info.split) for result in (a, b))
     if not allow_version_mismatch:

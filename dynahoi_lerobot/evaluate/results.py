@@ -6,7 +6,6 @@ import io
 import json
 import sys
 import warnings
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -35,7 +34,7 @@ from dynahoi_lerobot.core.reading import (
 )  # fmt: skip
 from dynahoi_lerobot.core.working_folder import working_folder
 from dynahoi_lerobot.evaluate.rows import COLUMNS, METRIC_TYPE, Row, episode_row, measured
-from dynahoi_lerobot.evaluate.summary import Estimate, Summary, summarise_by, summarise_rows, wilson
+from dynahoi_lerobot.evaluate.summary import Estimate, Summary, summarize_by, summarize_rows, wilson
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.rollout.inference import SYNC
 from dynahoi_lerobot.rollout.loop import ActionLog
@@ -55,12 +54,15 @@ is added without changing it, and is ignored by readers that do not know it."""
 OTHER_SCHEMA = "evaluate again with this version, or read it with the version that wrote it"
 """What to do about results of another schema."""
 
-HEAD_TYPES: dict[str, Any] = (
-    {"n": int, "n_success": int, "pc_success_ci95": list[float]}
-    | {"metrics": (figures := dict[str, dict[str, Any]]), "per_kind": dict[str, figures]}
-    | dict.fromkeys(("split", "policy", "capture", "code", "benchmark", "command"), str)
-    | {"recipe": dict[str, Any], "extra": dict[str, Any]}
-)
+HEAD_TYPES: dict[str, Any] = {
+    "n": int,
+    "n_success": int,
+    "pc_success_ci95": list[float],
+    "metrics": dict[str, Estimate],
+    "per_kind": dict[str, dict[str, Estimate]],
+    "recipe": dict[str, Any],
+    "extra": dict[str, Any],
+} | dict.fromkeys(("split", "policy", "capture", "code", "benchmark", "command"), str)
 EXTRA_TYPES = {
     "inference": str | None,
     "settings": list[str] | None,
@@ -116,12 +118,12 @@ class RunInfo:
 
     @classmethod
     def begun(
-        cls, policy: str, recipe: Recipe, weights: Mapping[str, str] | None = None, **told: Any
+        cls, policy: str, recipe: Recipe, weights: Mapping[str, str] | None = None, **facts: Any
     ) -> Self:
-        """Return what this command line begins to play, of a recipe; ``told`` and ``weights`` are
+        """Return what this command line begins to play, of a recipe; ``facts`` and ``weights`` are
         in ``extra``.
         """
-        extra = {**told, "surroundings": surroundings()}
+        extra = {**facts, "surroundings": surroundings()}
         extra |= {} if weights is None else {WEIGHTS: dict(weights)}
         return cls(policy, recipe.stored(), command_line(), recipe_code(recipe), extra)
 
@@ -137,11 +139,11 @@ class RunInfo:
 
     def task(self) -> dict[str, Any]:
         """Return what must be equal for an evaluation to be resumed."""
-        told: dict[str, Any] = {"schema": SCHEMA}
-        told |= {name: self.extra.get(name) or "" for name in ("inference", "settings", WEIGHTS)}
+        facts: dict[str, Any] = {"schema": SCHEMA}
+        facts |= {name: self.extra.get(name) or "" for name in ("inference", "settings", WEIGHTS)}
         return {
             name: getattr(self, name) for name in ("policy", "recipe", "code", "benchmark")
-        } | told
+        } | facts
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,8 +181,9 @@ class Results:
             return cls(folder, info)
         rows = _read_rows(folder / EPISODES_FILE)
         seeds, actions = _read_actions(folder / ACTIONS_FILE)
-        kept_rows = [rows[i] for i in _shared([row["seed"] for row in rows], seeds)]
-        kept_actions = [actions[i] for i in _shared(seeds, [row["seed"] for row in rows])]
+        both = set(seeds).intersection(row["seed"] for row in rows)
+        kept_rows = [row for row in rows if row["seed"] in both]
+        kept_actions = [log for seed, log in zip(seeds, actions, strict=True) if seed in both]
         _check_logs(folder / ACTIONS_FILE, kept_rows, kept_actions)
         return cls(folder, info, tuple(kept_rows), tuple(kept_actions))
 
@@ -207,8 +210,8 @@ class Results:
         ``inference`` is ``sync`` if the world waited for the policy, else such as ``async 150 ms``.
         """
         played = flat(self.info.recipe)
-        told = {name: _number(played[name]) for name in COMPARED}
-        return told | {"inference": self.info.extra.get("inference") or SYNC}
+        values = {name: _number(played[name]) for name in COMPARED}
+        return values | {"inference": self.info.extra.get("inference") or SYNC}
 
     @property
     def privileged(self) -> bool:
@@ -222,12 +225,12 @@ class Results:
     @cached_property
     def summary(self) -> Summary:
         """Every metric with its interval over all episodes."""
-        return summarise_rows(self.rows)
+        return summarize_rows(self.rows)
 
     def by(self, stratum: str) -> dict[str, Summary]:
         """Return every metric for every label of ``stratum``; computed once."""
         if stratum not in self._by:
-            self._by[stratum] = summarise_by(self.rows, stratum)
+            self._by[stratum] = summarize_by(self.rows, stratum)
         return self._by[stratum]
 
     def recipe(self) -> Recipe:
@@ -334,10 +337,10 @@ def read_results(folder: Path) -> Results:
     played = {"benchmark": info.benchmark}
     played |= {name: value for name, value in flat(info.recipe).items() if name in COMPARED}
     for name in played.keys() & rows[0].keys():
-        found = sorted({played[name], *(row[name] for row in rows)})
-        if len(found) > 1:
+        values = sorted({played[name], *(row[name] for row in rows)})
+        if len(values) > 1:
             raise ReadError(
-                f"{folder} holds episodes of {name} {found[0]!r} and {found[1]!r}; {REMEDY}"
+                f"{folder} holds episodes of {name} {values[0]!r} and {values[1]!r}; {REMEDY}"
             )
     return Results(folder, info, tuple(rows), tuple(actions), head)
 
@@ -351,19 +354,6 @@ def _plain(summary: Summary, names: Sequence[str]) -> dict[str, dict[str, Any]]:
     return {name: asdict(summary[name]) for name in names}
 
 
-def _shared(seeds: Sequence[int], others: Sequence[int]) -> list[int]:
-    """Return the places of the ``seeds`` that are among ``others``, each as often as it is there
-    at most.
-    """
-    left = Counter(others)
-    places = []
-    for place, seed in enumerate(seeds):
-        if left[seed]:
-            left[seed] -= 1
-            places.append(place)
-    return places
-
-
 # -- the three files -------------------------------------------------------------------------------
 
 
@@ -375,9 +365,6 @@ def _read_head(path: Path) -> dict[str, Any]:
         # not made a Recipe here, which would need every plugin that it names
         require(head["recipe"], get_type_hints(Recipe) | {"rules": dict[str, Any]})
         require(head["recipe"]["rules"], get_type_hints(Rules))
-        for figures in (head["metrics"], *head["per_kind"].values()):
-            for figure in figures.values():
-                require(figure, get_type_hints(Estimate))
         require(
             head["extra"],
             {name: kind for name, kind in EXTRA_TYPES.items() if name in head["extra"]},
@@ -401,13 +388,10 @@ def _read_rows(path: Path) -> list[Row]:
     import pyarrow as pa
 
     with reading(path):
-        file = open_table(path)
-        held = {field.name: field for field in file.schema_arrow}
-        columns = COLUMNS | dict.fromkeys(measured([held]), METRIC_TYPE)
-        for column in pa.schema(columns):
-            if held.get(column.name) != column:
-                raise TypeError(f"its column {column.name} is missing or of another type")
-        unknown = sorted(held.keys() - columns.keys())
+        with open_table(path) as file:
+            names = file.schema_arrow.names
+        columns = COLUMNS | dict.fromkeys(measured([dict.fromkeys(names)]), METRIC_TYPE)
+        unknown = sorted(set(names) - columns.keys())
         if unknown:
             warnings.warn(
                 f"{path}: {', '.join(map(printable, unknown))} is no metric that is registered "
@@ -415,7 +399,7 @@ def _read_rows(path: Path) -> list[Row]:
                 LeftOut,
                 stacklevel=3,
             )
-        rows = [{name: row[name] for name in columns} for row in read_rows(path, columns)]
+        rows = list(read_rows(path, pa.schema(columns)))
         for row in rows:
             for name, kind in columns.items():
                 if not _possible(name, kind, row[name]):
@@ -452,9 +436,9 @@ def _read_actions(path: Path) -> tuple[list[int], list[np.ndarray]]:
             or actions.dtype.kind != "f"
             or not (np.abs(actions) <= LARGEST).all()
         ):
-            told = f"of shape {actions.shape}, up to {np.abs(actions).max(initial=0)}"
+            given = f"of shape {actions.shape}, up to {np.abs(actions).max(initial=0)}"
             raise ValueError(
-                f"its actions must be of shape (N, {HAND_DOF}), up to {LARGEST}; they are {told}"
+                f"its actions must be of shape (N, {HAND_DOF}), up to {LARGEST}; they are {given}"
             )
         steps = np.diff(offsets, prepend=0, append=len(actions))
         if (

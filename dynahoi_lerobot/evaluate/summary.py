@@ -88,16 +88,16 @@ def estimate(metric: Metric, values: Iterable[float | None]) -> Estimate:
     return Estimate(float(known.mean()), *ends, metric.unit, int(known.size))
 
 
-def summarise_rows(rows: Sequence[Row]) -> Summary:
+def summarize_rows(rows: Sequence[Row]) -> Summary:
     """Return every metric over ``rows``; a metric that the rows lack has ``n = 0``."""
     return {
         name: estimate(metric, (row.get(name) for row in rows)) for name, metric in METRICS.items()
     }
 
 
-def summarise_by(rows: Sequence[Row], stratum: str) -> dict[str, Summary]:
+def summarize_by(rows: Sequence[Row], stratum: str) -> dict[str, Summary]:
     """Return every metric for every label of ``stratum``, in the stratum's order."""
     labels = STRATA[stratum].arrange({row[stratum] for row in rows})
     return {
-        label: summarise_rows([row for row in rows if row[stratum] == label]) for label in labels
+        label: summarize_rows([row for row in rows if row[stratum] == label]) for label in labels
     }

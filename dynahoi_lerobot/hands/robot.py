@@ -149,7 +149,7 @@ class RobotHand(Hand):
                 last.add_site(name=f"{name}_tip", pos=tip, quat=base.quat_z_to(np.array(tip)))
 
     def _check_parts(self, robot: mujoco.MjSpec) -> None:
-        """Raise an UnknownNameError if the model lacks the palm or a tip."""
+        """Raise a ValueError if the model lacks the palm or a tip."""
         known(f"body of {self.model}", self.palm, {body.name: body for body in robot.bodies})
         for tip in (self.fingers[name].tip for name in FINGERS):
             if isinstance(tip, str):

@@ -33,12 +33,19 @@ GENERIC_FOLDERS = {"checkpoints", "last", "pretrained_model", "training"}
 """Folder names of training runs that do not identify the policy."""
 
 
-@dataclass(frozen=True)
-class Mark:
-    """What tells one evaluation from the others in figures, see ``SHAPES``; a color in hexadecimal
-    RGB.
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """One evaluation of a report, and what tells it from the others in figures.
+
+    Attributes:
+        results: the evaluation.
+        label: unique within the report.
+        color: hexadecimal RGB.
+        marker, letter, dashes, hatch: see ``SHAPES``.
     """
 
+    results: Results
+    label: str
     color: str
     marker: str
     letter: str
@@ -46,19 +53,10 @@ class Mark:
     hatch: str
 
     @classmethod
-    def of(cls, place: int) -> "Mark":
-        """Return the mark of the evaluation in this place, another one for each of the first 48."""
+    def of(cls, results: Results, label: str, place: int) -> "Entry":
+        """Return the evaluation in this place; each of the first 48 looks different."""
         shape = SHAPES[place // len(COLORS) % len(SHAPES)]
-        return cls(COLORS[place % len(COLORS)], *shape)
-
-
-@dataclass(frozen=True, eq=False)
-class Entry:
-    """One evaluation of a report: its results, a label unique within the report, and its mark."""
-
-    results: Results
-    label: str
-    mark: Mark
+        return cls(results, label, COLORS[place % len(COLORS)], *shape)
 
 
 def read_entries(folders: Sequence[Path], *, allow_version_mismatch: bool = False) -> list[Entry]:
@@ -73,14 +71,16 @@ def read_entries(folders: Sequence[Path], *, allow_version_mismatch: bool = Fals
     results = _readable(folders)
     refuse_mixed_streams((result.folder, result.info.split) for result in results)
     if not allow_version_mismatch:
-        found = [(result.folder, result.info.benchmark) for result in results]
+        versions = [(result.folder, result.info.benchmark) for result in results]
         refuse_to_mix(
-            "benchmark", found, "evaluate both under one version, or add --allow-version-mismatch"
+            "benchmark",
+            versions,
+            "evaluate both under one version, or add --allow-version-mismatch",
         )
     results.sort(key=lambda result: -(result.summary["S_loc"].value or 0.0))
     labels = unique_labels(results)
     return [
-        Entry(result, label, Mark.of(place))
+        Entry.of(result, label, place)
         for place, (result, label) in enumerate(zip(results, labels, strict=True))
     ]
 

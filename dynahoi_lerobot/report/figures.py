@@ -7,7 +7,6 @@ import io
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,7 +18,7 @@ from dynahoi_lerobot.evaluate.rows import STRATA, Row
 from dynahoi_lerobot.evaluate.summary import Estimate
 from dynahoi_lerobot.evaluate.table import columns_for, heading
 from dynahoi_lerobot.metrics.grasp import FINGERS_AT_LEAST
-from dynahoi_lerobot.report.entries import COLORS, Entry, Mark, clip, distinct_episodes, short_name
+from dynahoi_lerobot.report.entries import COLORS, Entry, clip, distinct_episodes, short_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,62 +53,57 @@ BARS: dict[str, Any] = {"ecolor": INK, "capsize": 2, "error_kw": {"lw": 1}}
 Draw = Callable[[Sequence[Entry]], "Figure | None"]
 
 
-@dataclass(frozen=True)
-class ReportFigure:
-    """One figure of the report.
-
-    Attributes:
-        name: the anchor on the page.
-        title: the heading on the page.
-        draw: returns the drawing, or None if there is nothing to draw; its docstring is the
-            caption.
-    """
-
-    name: str
-    title: str
-    draw: Draw
-
-    @property
-    def caption(self) -> str:
-        """Caption: what the figure shows."""
-        return " ".join(inspect.cleandoc(self.draw.__doc__ or "").replace("``", "").split())
-
-    def render(self, entries: Sequence[Entry]) -> str | None:
-        """Return the drawing as the ``data:`` address of an SVG in the report's style; None if
-        there is none.
-
-        It follows the page's light or dark scheme. As an image it is inert: nothing written in it
-        can run or load anything.
-        """
-        import matplotlib.style
-
-        buffer = io.StringIO()
-        with matplotlib.style.context(STYLE, after_reset=True):
-            drawing = self.draw(entries)
-            if drawing is None:
-                return None
-            metadata = dict.fromkeys(
-                ("Creator", "Date", "Format", "Type")
-            )  # nothing that changes between runs
-            drawing.savefig(buffer, format="svg", metadata=metadata)
-        svg = re.sub(
-            "<svg[^>]*>", rf"\g<0>{INK_CSS}", buffer.getvalue().replace(INK, "var(--ink)"), count=1
-        )
-        return data_url("image/svg+xml", svg.encode())
-
-
-FIGURES: list[ReportFigure] = []
-"""In the order of the page."""
+FIGURES: dict[str, tuple[str, Draw]] = {}
+"""Heading and drawing function by anchor, in the order of the page. A function returns None if
+there is nothing to draw; its docstring is the caption."""
 
 
 def figure(name: str, title: str) -> Callable[[Draw], Draw]:
     """Return a decorator that puts a drawing function on the page."""
 
     def decorate(draw: Draw) -> Draw:
-        FIGURES.append(ReportFigure(name, title, draw))
+        FIGURES[name] = (title, draw)
         return draw
 
     return decorate
+
+
+def rendered(entries: Sequence[Entry]) -> list[dict[str, str]]:
+    """Return ``name``, ``title``, ``caption`` and ``address`` of each figure that there is."""
+    figures = []
+    for name, (title, draw) in FIGURES.items():
+        address = render(draw, entries)
+        if address is not None:
+            words = {"name": name, "title": title, "caption": caption(draw)}
+            figures.append(words | {"address": address})
+    return figures
+
+
+def caption(draw: Draw) -> str:
+    """Return the caption of a figure."""
+    return " ".join(inspect.cleandoc(draw.__doc__ or "").replace("``", "").split())
+
+
+def render(draw: Draw, entries: Sequence[Entry]) -> str | None:
+    """Return a drawing as the ``data:`` address of an SVG in the report's style; None if there is
+    none.
+
+    It follows the page's light or dark scheme. As an image it is inert: nothing written in it can
+    run or load anything.
+    """
+    import matplotlib.style
+
+    buffer = io.StringIO()
+    with matplotlib.style.context(STYLE, after_reset=True):
+        drawing = draw(entries)
+        if drawing is None:
+            return None
+        # nothing that changes between runs
+        metadata = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+        drawing.savefig(buffer, format="svg", metadata=metadata)
+    text = buffer.getvalue().replace(INK, "var(--ink)")
+    svg = re.sub("<svg[^>]*>", rf"\g<0>{INK_CSS}", text, count=1)
+    return data_url("image/svg+xml", svg.encode())
 
 
 # -- what several figures share --------------------------------------------------------------------
@@ -154,23 +148,23 @@ def legend(drawing: Figure, entries: Sequence[Entry], *, bars: bool = False) -> 
     from matplotlib.patches import Patch
 
     handles = [
-        Patch(label=entry.label, **bar_style(entry.mark))
+        Patch(label=entry.label, **bar_style(entry))
         if bars
-        else Line2D([], [], label=entry.label, ms=4, **line_style(entry.mark))
+        else Line2D([], [], label=entry.label, ms=4, **line_style(entry))
         for entry in entries
     ]
     columns = min(len(entries), LEGEND_COLUMNS)
     drawing.legend(handles=handles, loc="outside upper left", ncols=columns)
 
 
-def line_style(mark: Mark) -> dict[str, Any]:
-    """Return how matplotlib draws a line with points that has a mark."""
-    return {"color": mark.color, "linestyle": mark.dashes, "marker": mark.marker}
+def line_style(entry: Entry) -> dict[str, Any]:
+    """Return how matplotlib draws a line with points of an evaluation."""
+    return {"color": entry.color, "linestyle": entry.dashes, "marker": entry.marker}
 
 
-def bar_style(mark: Mark) -> dict[str, Any]:
-    """Return how matplotlib draws a bar that has a mark."""
-    return {"facecolor": mark.color, "hatch": mark.hatch, "edgecolor": INK, "linewidth": 0}
+def bar_style(entry: Entry) -> dict[str, Any]:
+    """Return how matplotlib draws a bar of an evaluation."""
+    return {"facecolor": entry.color, "hatch": entry.hatch, "edgecolor": INK, "linewidth": 0}
 
 
 def error_bars(estimates: Sequence[Estimate | None]) -> tuple[np.ndarray, np.ndarray]:
@@ -183,10 +177,10 @@ def error_bars(estimates: Sequence[Estimate | None]) -> tuple[np.ndarray, np.nda
     return value, np.stack([value - low, high - value])
 
 
-def points(panel: Axes, x: np.ndarray, estimates: Sequence[Estimate | None], mark: Mark) -> None:
+def points(panel: Axes, x: np.ndarray, estimates: Sequence[Estimate | None], entry: Entry) -> None:
     """Draw K estimates with their 95 % intervals at (K,) places ``x``, joined by a line."""
     values, errors = error_bars(estimates)
-    panel.errorbar(x, values, errors, ms=4, lw=1.2, capsize=2, **line_style(mark))
+    panel.errorbar(x, values, errors, ms=4, lw=1.2, capsize=2, **line_style(entry))
 
 
 def stratified(entries: Sequence[Entry], stratum: str) -> Figure | None:
@@ -203,7 +197,7 @@ def stratified(entries: Sequence[Entry], stratum: str) -> Figure | None:
             shift = 0.12 * (place - (len(entries) - 1) / 2) / max(1, len(entries) / 4)
             groups = entry.results.by(stratum)
             estimates = [groups[label][name] if label in groups else None for label in labels]
-            points(panel, np.arange(len(labels)) + shift, estimates, entry.mark)
+            points(panel, np.arange(len(labels)) + shift, estimates, entry)
         panel.set_xticks(range(len(labels)), labels, fontsize=8)
         panel.set_xlim(-0.5, len(labels) - 0.5)
     return drawing
@@ -222,7 +216,7 @@ def main_metrics(entries: Sequence[Entry]) -> Figure:
     for name, panel in panels.items():
         for entry in entries:
             value, error = error_bars([entry.results.summary[name]])
-            style = bar_style(entry.mark)
+            style = bar_style(entry)
             panel.barh([entry.label], value, xerr=error, height=0.65, **style, **BARS)
         panel.grid(visible=False, axis="y")
     next(iter(panels.values())).invert_yaxis()
@@ -281,9 +275,7 @@ def per_kind(entries: Sequence[Entry]) -> Figure | None:
     """
     pairs = {(row["category"], row["kind"]) for entry in entries for row in entry.results.rows}
     categories = STRATA["category"].arrange({category for category, _ in pairs})
-    groups = [
-        sorted(kind for category, kind in pairs if category == wanted) for wanted in categories
-    ]
+    groups = [sorted(kind for category, kind in pairs if category == one) for one in categories]
     kinds = [kind for group in groups for kind in group]
     if len(kinds) < 2:
         return None
@@ -292,10 +284,10 @@ def per_kind(entries: Sequence[Entry]) -> Figure | None:
     heights = [0.44 * len(shown) + 0.2 for shown in maps.values()]
     drawing, axes = subplots(len(maps), 1, sum(heights) + 1.7, sharex=True, height_ratios=heights)
     for panel, (name, shown) in zip(axes, maps.items(), strict=True):
-        found = [entry.results.by("kind") for entry in shown]
+        summaries = [entry.results.by("kind") for entry in shown]
         cells = [
             [by_kind[kind][name] if kind in by_kind else None for kind in kinds]
-            for by_kind in found
+            for by_kind in summaries
         ]
         _heat_map(panel, cells, name)
         panel.set_yticks(range(len(shown)), [entry.label for entry in shown])
@@ -312,11 +304,11 @@ def _heat_map(panel: Axes, cells: Sequence[Sequence[Estimate | None]], name: str
     grid = np.stack([error_bars(row)[0] for row in cells])
     panel.imshow(grid, cmap="viridis", vmin=0, vmax=100, aspect="auto")
     for (row, column), value in np.ndenumerate(grid):
-        found = cells[row][column]
-        if found is not None and found.n:
+        estimate = cells[row][column]
+        if estimate is not None and estimate.n:
             style: dict[str, Any] = {"color": "black" if value > 60 else "white", "ha": "center"}
             panel.text(column, row, f"{value:.0f}", va="bottom", fontsize=8, **style)
-            panel.text(column, row + 0.05, f"n={found.n}", va="top", fontsize=6, **style)
+            panel.text(column, row + 0.05, f"n={estimate.n}", va="top", fontsize=6, **style)
     panel.set_title(f"{name} [%]", loc="left")
     panel.grid(visible=False)
 
@@ -357,7 +349,7 @@ def time_to_catch(entries: Sequence[Entry]) -> Figure:
         longest = max(row["length_frames"] for row in rows) * CONTROL_DT
         times = [0, *sorted(waits), longest]
         shares = [*share, share[-1]]
-        style = line_style(entry.mark) | {"markevery": 0.1, "ms": 4}
+        style = line_style(entry) | {"markevery": 0.1, "ms": 4}
         panel.step(times, shares, where="post", **style)
     panel.set(xlabel="time since the control start [s]", ylabel="localized [%]", ylim=(0, 100))
     legend(drawing, entries)
@@ -380,7 +372,7 @@ def per_frame_grasp(entries: Sequence[Entry]) -> Figure | None:
     for place, entry in enumerate(shown):
         values, errors = error_bars([entry.results.summary[name] for name in names])
         x = np.arange(len(values)) + (place - (len(shown) - 1) / 2) * width
-        panel.bar(x, values, 0.9 * width, yerr=errors, **bar_style(entry.mark), **BARS)
+        panel.bar(x, values, 0.9 * width, yerr=errors, **bar_style(entry), **BARS)
     panel.set_xticks(
         range(3), [f"{setting}\n≥ {n} fingers" for setting, n in FINGERS_AT_LEAST.items()]
     )
@@ -400,8 +392,8 @@ def latency_ms(entry: Entry) -> float | None:
     label = entry.results.info.extra.get("inference")
     if not label:
         return 0.0
-    told = re.fullmatch(r"\w+ ([\d.e+]+) ms", label)  # as `Inference.label` says it
-    return float(told[1]) if told else None
+    match = re.fullmatch(r"\w+ ([\d.e+]+) ms", label)  # as `Inference.label` says it
+    return float(match[1]) if match else None
 
 
 @figure("latency", "Inference latency")
@@ -411,27 +403,26 @@ def latency(entries: Sequence[Entry]) -> Figure | None:
     Drawn from evaluations under ``--inference async`` or ``rtc`` with a declared latency; 0 where
     the world waits.
     """
-    known = {entry.label: ms for entry in entries if (ms := latency_ms(entry)) is not None}
-    if len(set(known.values())) < 2:
+    latencies = {entry.label: ms for entry in entries if (ms := latency_ms(entry)) is not None}
+    if len(set(latencies.values())) < 2:
         return None
     lines: dict[str, list[Entry]] = {}
-    for entry in sorted(
-        (entry for entry in entries if entry.label in known), key=lambda entry: known[entry.label]
-    ):
+    timed = [entry for entry in entries if entry.label in latencies]
+    for entry in sorted(timed, key=lambda entry: latencies[entry.label]):
         info = entry.results.info
         control_class = entry.results.conditions["control_class"]
         rules = (short_name(info.policy), info.split, info.capture, control_class)
         lines.setdefault(", ".join(rules), []).append(entry)
     titles = [
-        Entry(line[0].results, clip(label), Mark.of(place))
+        Entry.of(line[0].results, clip(label), place)
         for place, (label, line) in enumerate(lines.items())
     ]
     drawing, panels = metric_panels([entry for line in lines.values() for entry in line], 2.0)
     legend(drawing, titles)
     for name, panel in panels.items():
         for title, line in zip(titles, lines.values(), strict=True):
-            places = np.array([known[entry.label] for entry in line])
-            points(panel, places, [entry.results.summary[name] for entry in line], title.mark)
+            places = np.array([latencies[entry.label] for entry in line])
+            points(panel, places, [entry.results.summary[name] for entry in line], title)
         panel.set_xlabel("latency of an inference [ms]")
     return drawing
 
@@ -496,7 +487,7 @@ def overlay(panel: Axes, samples: Sequence[np.ndarray], entries: Sequence[Entry]
     edges = np.linspace(-reach, reach, HISTOGRAM_BINS + 1)
     for sample, entry in zip(samples, entries, strict=True):
         share = 100 * np.histogram(sample, edges)[0] / max(1, sample.size)
-        panel.stairs(share, edges, color=entry.mark.color, linestyle=entry.mark.dashes, lw=1.2)
+        panel.stairs(share, edges, color=entry.color, linestyle=entry.dashes, lw=1.2)
     panel.set_yscale("log")
     panel.yaxis.set_major_formatter("{x:g}")
     panel.minorticks_off()

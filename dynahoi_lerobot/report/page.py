@@ -129,7 +129,6 @@ def page_content(entries: Sequence[Entry], across: Collection[str] = ()) -> dict
     results = [entry.results for entry in entries]
     main = table.columns_for(results)
     other = [name for name in METRICS.names() if name not in main]
-    drawn = [(figure, figure.render(entries)) for figure in figures.FIGURES]
     clips = [(entry.label, *clips_of(entry.results.folder)) for entry in entries]
     return {
         "entries": entries,
@@ -140,7 +139,7 @@ def page_content(entries: Sequence[Entry], across: Collection[str] = ()) -> dict
         "defined": {name: METRICS[name].summary for name in main},
         "categories": category_tables(entries),
         "comparisons": comparison_tables(entries, across),
-        "figures": [(figure, address) for figure, address in drawn if address],
+        "figures": figures.rendered(entries),
         "per_kind": [table.kind_table(entry.results, entry.label) for entry in entries],
         "glossary": glossary(),
         "facts": [facts(entry.results.info) for entry in entries],

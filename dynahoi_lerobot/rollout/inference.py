@@ -197,25 +197,9 @@ class RealTimeAgent(Agent):
         return np.array([0 if chunk is None else chunk.ready - chunk.first for chunk in lasted])
 
 
-@dataclass(frozen=True)
-class QueuedPolicy:
-    """How a policy answers calls for one action: it infers in one call and answers the next ones
-    from a queue.
-
-    Attributes:
-        name: for messages.
-        n_action_steps: calls that one inference answers.
-        lookback_frames: how old the oldest frame is that an inference looks at.
-    """
-
-    name: str
-    n_action_steps: int
-    lookback_frames: int = 0
-
-
 class StepwiseInference:
-    """The timeline of a `QueuedPolicy`: it decides after which calls the world moves, and what its
-    hands do then.
+    """The timeline of a policy that infers in one call and answers the next ones from a queue: it
+    decides after which calls the world moves, and what its hands do then.
 
     The world can stand still while the queue is read, and move on only in the last calls of each
     queue:
@@ -229,8 +213,16 @@ class StepwiseInference:
     it are seen as well. All worlds are asked together, so they begin their inferences together.
     """
 
-    def __init__(self, policy: QueuedPolicy, inference: Inference) -> None:
-        """Give ``policy`` the timing ``inference``.
+    def __init__(
+        self, inference: Inference, name: str, n_action_steps: int, *, lookback_frames: int = 0
+    ) -> None:
+        """Give a policy the timing ``inference``.
+
+        Args:
+            inference: of mode ``async``, with a declared latency.
+            name: of the policy, for messages.
+            n_action_steps: calls that one inference answers.
+            lookback_frames: how old the oldest frame is that an inference looks at.
 
         Raises:
             ValueError: if the mode or the latency is impossible with one action a call, or if the
@@ -249,22 +241,21 @@ class StepwiseInference:
                 "videos; "
                 "declare it in ms, or use dynahoi evaluate --inference-ms measured"
             )
-        self.policy = policy
+        self._n_action_steps = n_action_steps
         self._delay = frames_until(latency_ms / 1000)
         self._period = max(1, self._delay)
         least = self._delay + 1
-        if least > policy.n_action_steps:
+        if least > n_action_steps:
             raise ValueError(
-                f"{policy.name!r} executes {policy.n_action_steps} actions of a chunk, all of "
-                f"them past when it is "
-                f"ready after {latency_ms:g} ms ({self._delay} frames); n_action_steps must be "
+                f"{name!r} executes {n_action_steps} actions of a chunk, all of them past when it "
+                f"is ready after {latency_ms:g} ms ({self._delay} frames); n_action_steps must be "
                 f"at least {least}"
             )
-        if policy.lookback_frames > self._delay and policy.n_action_steps > self._period:
+        if lookback_frames > self._delay and n_action_steps > self._period:
             raise ValueError(
-                f"{policy.name!r} looks back {policy.lookback_frames} frames and would see some "
-                f"twice, because the "
-                "world stands still while its queue is read; use dynahoi evaluate --inference async"
+                f"{name!r} looks back {lookback_frames} frames and would see some twice, because "
+                f"the world stands still while its queue is read; use dynahoi evaluate --inference "
+                f"async"
             )
         self.reset()
 
@@ -276,7 +267,7 @@ class StepwiseInference:
 
     def calls(self, frames: int) -> int:
         """Return how many calls at most it takes until the world has moved by so many frames."""
-        return -(-frames // self._period) * self.policy.n_action_steps
+        return -(-frames // self._period) * self._n_action_steps
 
     def answer(self, actions: np.ndarray, state: np.ndarray) -> np.ndarray | None:
         """Take the answer to a call.
@@ -289,13 +280,13 @@ class StepwiseInference:
             (N, 18) commands for the frame that passes now; None if the world stands still.
         """
         self._read.append(actions)
-        if len(self._read) <= self.policy.n_action_steps - self._period:
+        if len(self._read) <= self._n_action_steps - self._period:
             return None
         if not self._delay:
             self._finish()
         commands = state if self._running is None else self._running.action(self._frame)
         self._frame += 1
-        if self._delay and len(self._read) == self.policy.n_action_steps:
+        if self._delay and len(self._read) == self._n_action_steps:
             self._finish()
         return commands
 

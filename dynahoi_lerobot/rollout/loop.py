@@ -17,7 +17,7 @@ from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.rollout.recorder import Job, WorldRecorder, measure_frame
 from dynahoi_lerobot.rollout.recording import Recording
-from dynahoi_lerobot.rollout.teacher_labels import Labelled
+from dynahoi_lerobot.rollout.teacher_labels import Labeled
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -213,7 +213,7 @@ def record(
     recipe = recording.recipe
     batch = WorldBatch(recipe.rules, min(batch_size, max(1, len(seeds))), threads)
     expert = EXPERTS[recording.expert_name]()
-    demonstrator = Labelled(expert, perturbed_share=recording.perturbed_share)
+    demonstrator = Labeled(expert, perturbed_share=recording.perturbed_share)
     jobs = _fresh_jobs(recipe, seeds, threads)
     for episode in _in_order(play(batch, demonstrator, jobs, images=images, retry=True)):
         if episode.success or recording.keep_failures:
@@ -241,7 +241,7 @@ def record_on_policy(
     """
     for first in range(0, len(seeds), DEFAULT_BATCH):
         group = seeds[first : first + DEFAULT_BATCH]
-        agent = Labelled(recording.teacher(), make_agent(group[0]), name=recording.actor)
+        agent = Labeled(recording.teacher(), make_agent(group[0]), name=recording.actor)
         jobs = _fresh_jobs(recording.recipe, group, threads)
         batch = WorldBatch(recording.recipe.rules, len(group), threads)
         yield from _in_order(play(batch, agent, jobs, images=images))

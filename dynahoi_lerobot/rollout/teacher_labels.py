@@ -95,7 +95,7 @@ class Perturbation:
         return self.destinations[begin]
 
 
-class Labelled(Actor):
+class Labeled(Actor):
     """A hand whose every frame a teacher labels.
 
     The teacher moves it by its own labels, perturbed in some episodes (DART); or an agent moves it,

@@ -1,7 +1,7 @@
 """Where the draws of the benchmark's episodes succeeded, so that nothing has to be rejected again.
 
 `accepted.npz` holds an entry of `ENTRY` for every seed of the splits of fixed size, as
-`benchmarks/accept.py` found it by drawing. An entry only saves time: an episode that begins from it
+`benchmarks/pin.py` found it by drawing. An entry only saves time: an episode that begins from it
 is the one that a search finds, and if what follows from an entry is not what it says, the episode
 is searched.
 """

@@ -200,9 +200,7 @@ BENCHMARK = Benchmark(
 """The benchmark that the commands play."""
 
 EPISODES_DIGEST = "9f358bfb"
-"""Of the digests that `python benchmarks/pin.py` has pinned: of all episodes and some images.
-
-When it changes, `python benchmarks/accept.py` finds again where the episodes' draws succeed."""
+"""Of the digests that `python benchmarks/pin.py` has pinned: of all episodes and some images."""
 
 BENCHMARK_ID = f"{BENCHMARK.version}-{EPISODES_DIGEST}"
 """What recordings and results name: scores compare if it is the same."""

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from dynahoi_lerobot.core.arguments import argument, option
-from dynahoi_lerobot.core.reading import fits, reading
+from dynahoi_lerobot.core.reading import reading
 from dynahoi_lerobot.dataset.columns import BOOKKEEPING, numeric_keys
 from dynahoi_lerobot.dataset.merge import copy_subset
 from dynahoi_lerobot.dataset.store import Store, frame_column
@@ -101,7 +101,7 @@ def find_outliers(root: Path, margin: float = MARGIN, column: str = "action") ->
     low = q01 - margin * (q99 - q01)
     high = q99 + margin * (q99 - q01)
     names = store.features[column].get("names")
-    if names is None or not fits(names, list[str]) or len(names) != len(low):
+    if not isinstance(names, list) or len(names) != len(low):
         names = range(len(low))
     outliers: dict[int, str] = {}
     for row in store.rows:

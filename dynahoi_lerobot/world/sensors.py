@@ -54,7 +54,7 @@ def with_render_noise(
     return np.clip(image + change, 0, 255).astype(np.uint8)
 
 
-def _grey(image: np.ndarray) -> np.ndarray:
+def _gray(image: np.ndarray) -> np.ndarray:
     """(H, W) uint8 luminance of an RGB image, in whole numbers, which round alike everywhere."""
     return ((image.astype(np.uint32) @ LUMINANCE + 500) // 1000).astype(np.uint8)
 
@@ -97,7 +97,7 @@ class Cameras:
         self._frame = frame
         self._renderers: dict[str, Renderer] = {}
         self._views = (EGO_VIEW, *rules.views)
-        self._grey = FrameHistory(
+        self._gray = FrameHistory(
             batch.nsim, MOTION_FRAMES[-1] + 1, (self.image_size, self.image_size), np.uint8
         )
         self._detector = _detector(scene, batch, self.image_size) if looks else None
@@ -105,7 +105,7 @@ class Cameras:
 
     def forget(self, ids: np.ndarray) -> None:
         """Forget the images of worlds ``ids`` (n,), whose episodes begin."""
-        self._grey.forget(ids)
+        self._gray.forget(ids)
         if self._detector is not None:
             self._detector.forget(ids)
 
@@ -180,8 +180,8 @@ class Cameras:
         """
         motion = np.zeros_like(images)
         for i in ids:
-            self._grey.add(i, _grey(images[i]), int(self._frame[i]))
-            motion[i] = np.moveaxis(self._grey.values[MOTION_FRAMES, i], 0, -1)
+            self._gray.add(i, _gray(images[i]), int(self._frame[i]))
+            motion[i] = np.moveaxis(self._gray.values[MOTION_FRAMES, i], 0, -1)
         return motion
 
     def _seeing(self, ids: np.ndarray) -> np.ndarray:

@@ -23,7 +23,7 @@ from dynahoi_lerobot.core.lerobot_internals import ONE_EPISODE_OPTION
 from dynahoi_lerobot.env.vector_env import DynahoiVectorEnv
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.motions import MOTIONS
-from dynahoi_lerobot.rollout.inference import SYNC, Inference, QueuedPolicy, StepwiseInference
+from dynahoi_lerobot.rollout.inference import SYNC, Inference, StepwiseInference
 from dynahoi_lerobot.sampling.recipe import Recipe
 
 LONGEST_FRAMES = 256
@@ -67,8 +67,9 @@ class DynahoiBenchmark(StepBenchmark):
         """
         super().__init__()
         timing = Inference(inference, latency_ms)
-        server = QueuedPolicy("the model server", n_action_steps)
-        self._inference = None if inference == SYNC else StepwiseInference(server, timing)
+        self._inference: StepwiseInference | None = None
+        if inference != SYNC:
+            self._inference = StepwiseInference(timing, "the model server", n_action_steps)
         self._recipe = Recipe.of(**{"split": "test_small"} | fields)
         self._kinds = kinds
         self._send_state = send_state

@@ -81,7 +81,7 @@ def test_an_evaluation_goes_on_where_it_stopped_and_its_episodes_are_shown(tmp_p
     assert [row["seed"] for row in rows[:2]] == [row["seed"] for row in first]
     assert sorted(row["seed"] for row in rows) == [0, 1, 2]
     (gif,) = out.glob("*.gif")
-    assert len(pages(gif.read_bytes())) > 5, "equal neighbours are stored once"
+    assert len(pages(gif.read_bytes())) > 5, "equal neighbors are stored once"
     stage = next(row["stage"] for row in rows if row["seed"] == 1)
     for view in ("ego", "side"):
         film = tmp_path / f"{view}.gif"

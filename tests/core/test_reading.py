@@ -189,8 +189,11 @@ def test_tables_of_many_rows_are_read_whole(tmp_path: Path) -> None:
     rows = [{"a.b": [1.0, 2.0 * i], "text": ["x", None]} for i in range(200)]
     path = tmp_path / "x.parquet"
     pq.write_table(pa.Table.from_pylist(rows), path)
-    assert list(read_rows(path)) == read_table(path).to_pylist() == rows
-    assert list(read_rows(path, ["text"])) == [{"text": ["x", None]}] * 200
+    assert list(read_rows(path, read_table(path).schema)) == read_table(path).to_pylist() == rows
+    schema = pa.schema({"text": pa.list_(pa.large_string())})
+    assert list(read_rows(path, schema)) == [{"text": ["x", None]}] * 200
+    with pytest.raises(ReadError, match=r"its column text is of type list<.*it must be double"):
+        list(read_rows(path, pa.schema({"text": pa.float64()})))
 
 
 def test_arrays_that_run_code_or_hold_no_numbers_are_refused(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.core.registry import UnknownNameError
 from dynahoi_lerobot.evaluate.compare import (
     COMMANDS,
     CROSSABLE,
@@ -115,7 +114,7 @@ def test_a_seed_alone_does_not_make_a_pair_and_an_unknown_metric_is_named():
     for change in ({"split": "val"}, {"kind": "bounce"}, {"object": "egg"}, {"length_frames": 41}):
         assert compare(results([1.0]), results([1.0], **change), "S_loc") is None
         assert compare(results([1.0]), results([1.0], **change), COMMANDS) is None
-    with pytest.raises(UnknownNameError, match="S_lok"):
+    with pytest.raises(ValueError, match="S_lok"):
         compare(results([1.0], "S_lok"), results([1.0], "S_lok"), "S_lok")
 
 

@@ -44,7 +44,7 @@ def test_enlarged_pixels_stay_crisp():
     assert (pixels[0:3, 0:3] == pixels[0, 0]).all()
 
 
-def test_what_stands_still_keeps_its_colours_and_is_stored_once():
+def test_what_stands_still_keeps_its_colors_and_is_stored_once():
     still = np.random.default_rng(1).integers(0, 255, (1, 64, 64, 3), np.uint8).repeat(20, axis=0)
     moving = still.copy()
     for frame, image in enumerate(moving):
@@ -54,7 +54,7 @@ def test_what_stands_still_keeps_its_colours_and_is_stored_once():
     assert len(encode_gif(moving)) < 3 * len(encode_gif(moving[:1]))
 
 
-def test_a_small_target_keeps_its_colour():
+def test_a_small_target_keeps_its_color():
     frames = (
         np.random.default_rng(2)
         .normal([90, 120, 90], 12, (8, 64, 64, 3))

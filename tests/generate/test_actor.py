@@ -71,9 +71,9 @@ def test_the_policys_commands_move_the_hand_and_the_labels_do_not(
     for episode in episodes:
         acting = slice(episode.meta.window_frames, None)
         arrived = episode.state[1:][acting] - episode.executed_action[:-1][acting]
-        labelled = episode.state[1:][acting] - episode.action[:-1][acting]
+        labeled = episode.state[1:][acting] - episode.action[:-1][acting]
         assert np.abs(arrived[:, :3]).max() < 2e-3
-        assert np.abs(labelled[:, :3]).max() > 1e-2
+        assert np.abs(labeled[:, :3]).max() > 1e-2
 
 
 def test_it_is_verified_and_made_again_without_the_policy(generated: Path):

@@ -22,7 +22,7 @@ def run(*words, record=recorder.record) -> int:
     )
 
 
-def test_generates_and_summarises(tmp_path, capsys):
+def test_generates_and_summarizes(tmp_path, capsys):
     root = tmp_path / "d"
     summary = tmp_path / "summary.json"
     assert (

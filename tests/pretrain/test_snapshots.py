@@ -26,8 +26,8 @@ def test_the_calibration_is_that_of_the_camera(tmp_path: Path, camera: str):
     image.
     """
     recipe = PretrainRecipe(tmp_path, camera, episodes=RECIPE, n_episodes=1)
-    pose, (focal_px, _, centre_px, _) = calibration(recipe)
-    eye = Pinhole.from_pose(pose.tolist(), centre_px / focal_px, carried=camera == "ego")
+    pose, (focal_px, _, center_px, _) = calibration(recipe)
+    eye = Pinhole.from_pose(pose.tolist(), center_px / focal_px, carried=camera == "ego")
     wanted = torch.tensor([[0.0, 0.0, 0.0], [-0.6, 0.5, 0.2], [0.7, 0.4, -0.4], [-0.3, 0.8, 0.5]])
     batch = WorldBatch(RECIPE.rules, len(wanted), threads=1)
     batch.reset(

@@ -30,7 +30,7 @@ def images(watching: WorldBatch) -> np.ndarray:
     return watching.cameras.render()
 
 
-def test_things_have_their_colours_where_the_labels_say_they_are(watching, images, specs):
+def test_things_have_their_colors_where_the_labels_say_they_are(watching, images, specs):
     labels = watching.cameras.segmentation()
     scene = watching.scene
     compared = dict.fromkeys(("target", "skin", "floor", "wall"), 0)
@@ -45,9 +45,9 @@ def test_things_have_their_colours_where_the_labels_say_they_are(watching, image
             pixels = image[np.isin(seen, ids)]
             if len(pixels) >= (8 if thing == "target" else 50):  # a table may cover the floor
                 # the median, as pixels on edges hold some of what is behind
-                colour = np.median(pixels, axis=0)
+                color = np.median(pixels, axis=0)
                 tint = np.array(getattr(spec.appearance, f"{thing}_rgb"))
-                cosine = colour @ tint / np.linalg.norm(colour) / np.linalg.norm(tint)
+                cosine = color @ tint / np.linalg.norm(color) / np.linalg.norm(tint)
                 assert cosine > SAME_HUE, (spec.motion.name, thing)
                 compared[thing] += 1
     assert min(compared.values()) >= 12

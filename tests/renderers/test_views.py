@@ -57,13 +57,13 @@ def test_depth_is_the_distance_along_the_axis(batch: WorldBatch) -> None:
     depth = batch.cameras.depth()
     camera = batch._batch.bind("cam_xpos")[:, batch.scene.camera]
     axis = -batch._batch.bind("cam_xmat")[:, batch.scene.camera].reshape(-1, 3, 3)[:, :, 2]
-    centre = ((batch.target_pose_h[:, :3] + batch.home_pos_w - camera) * axis).sum(axis=1)
+    center = ((batch.target_pose_h[:, :3] + batch.home_pos_w - camera) * axis).sum(axis=1)
     seen = 0
     for i in range(batch.size):
         on_target = depth[i][np.isin(labels[i], batch.scene.target_geoms)]
         if len(on_target) > 10:
             seen += 1
-            assert 0.0 < centre[i] - on_target.min() < LARGEST_SLOT_M
+            assert 0.0 < center[i] - on_target.min() < LARGEST_SLOT_M
     assert seen > 3
 
 

@@ -153,7 +153,7 @@ def test_latex_has_the_numbers_of_the_page(entries: list[Entry], tmp_path: Path)
 def test_the_command_writes_both_and_refuses_folders_first(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(figures, "FIGURES", [])
+    monkeypatch.setattr(figures, "FIGURES", {})
     example_run(tmp_path / "a", "a", 0.9, 6)
     words = ["report", str(tmp_path / "a"), "--out", str(tmp_path / "report.html")]
     assert main([*words, "--csv", str(tmp_path / "t.csv"), "--latex", str(tmp_path / "t.tex")]) == 0

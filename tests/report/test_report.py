@@ -33,7 +33,6 @@ HOSTILE = (
     "<script>alert('x')</script><img src=https://evil.example/a.png onerror=alert(1)>\"&{{ "
     "7*7 }} $x^{"
 )
-FIGURES = {figure.name: figure for figure in figures.FIGURES}
 ALWAYS = {
     "main",
     "stages",
@@ -117,7 +116,7 @@ def test_equal_names_are_told_apart_by_conditions_then_folder_then_number():
 
 def test_entries_come_best_first_and_once(entries: list[Entry]):
     assert [entry.label for entry in entries] == ["strong", "holder", "weak"]
-    assert len({entry.mark for entry in entries}) == 3
+    assert len({(entry.color, entry.marker) for entry in entries}) == 3
     assert len(distinct_episodes(entries)) == 24
 
 
@@ -137,7 +136,7 @@ def unfinished(root: Path) -> list[Path]:
 def test_folders_that_cannot_be_read_are_left_out_with_a_word_each(
     tmp_path: Path, runs: Path, capsys: pytest.CaptureFixture[str], monkeypatch
 ):
-    monkeypatch.setattr(figures, "FIGURES", [])
+    monkeypatch.setattr(figures, "FIGURES", {})
     bad = unfinished(tmp_path)
     words = ["report", "--out", str(tmp_path / "report.html"), *map(str, bad)]
     assert main([*words, str(runs / "strong"), str(runs / "weak")]) == 0
@@ -153,9 +152,13 @@ def test_folders_that_cannot_be_read_are_left_out_with_a_word_each(
 # -- figures ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", FIGURES)
+def render(name: str, entries: list[Entry]) -> str | None:
+    return figures.render(figures.FIGURES[name][1], entries)
+
+
+@pytest.mark.parametrize("name", figures.FIGURES)
 def test_a_figure_is_a_well_formed_inert_drawing(name: str, odd: list[Entry]):
-    address = FIGURES[name].render(odd)
+    address = render(name, odd)
     text = base64.b64decode(address.removeprefix("data:image/svg+xml;base64,")).decode()
     root = ElementTree.fromstring(text)
     assert not {"script", "foreignObject"} & {
@@ -172,13 +175,14 @@ def test_a_figure_is_a_well_formed_inert_drawing(name: str, odd: list[Entry]):
     assert "var(--ink)" in text
     if name == "stages":
         assert any((element.text or "").strip() == odd[0].label for element in root.iter())
-        assert address == FIGURES[name].render(odd), "the same results give the same drawing"
+        assert address == render(name, odd), "the same results give the same drawing"
 
 
 def test_figures_of_one_episode_are_drawn_or_left_out(tmp_path: Path):
     example_run(tmp_path, "lone", 0.0, 1)
     lone = read_entries([tmp_path])
-    assert {name for name, figure in FIGURES.items() if figure.render(lone) is not None} == ALWAYS
+    drawn = {name for name in figures.FIGURES if render(name, lone) is not None}
+    assert drawn == ALWAYS
 
 
 def words_of(address: str) -> list[str]:
@@ -189,10 +193,10 @@ def words_of(address: str) -> list[str]:
 
 def test_a_figure_of_grasps_leaves_out_whom_they_do_not_apply_to(odd: list[Entry]):
     contact = [entry for entry in odd if entry.results.info.capture == "contact"]
-    assert FIGURES["per-frame-grasp"].render(contact) is None
-    words = words_of(FIGURES["per-frame-grasp"].render(odd))
+    assert render("per-frame-grasp", contact) is None
+    words = words_of(render("per-frame-grasp", odd))
     assert contact[0].label not in words
-    assert all("S_joint" not in word for word in words_of(FIGURES["main"].render(contact)))
+    assert all("S_joint" not in word for word in words_of(render("main", contact)))
 
 
 # -- tables ----------------------------------------------------------------------------------------
@@ -201,7 +205,7 @@ def test_a_figure_of_grasps_leaves_out_whom_they_do_not_apply_to(odd: list[Entry
 @pytest.fixture(scope="module")
 def content(entries: list[Entry]) -> dict:
     patch = pytest.MonkeyPatch()
-    patch.setattr(figures, "FIGURES", [])
+    patch.setattr(figures, "FIGURES", {})
     yield page_content(entries)
     patch.undo()
 
@@ -290,7 +294,7 @@ class Page(HTMLParser):
 
 
 def test_a_page_holds_everything_and_loads_nothing(runs: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(figures, "FIGURES", [FIGURES["stages"]])
+    monkeypatch.setattr(figures, "FIGURES", {"stages": figures.FIGURES["stages"]})
     folders = [runs / "strong", runs / "hostile"]
     html = render_report(folders, runs / "report.html").read_text()
     parsed = Page(html)
@@ -326,7 +330,7 @@ def test_a_page_holds_everything_and_loads_nothing(runs: Path, monkeypatch: pyte
 
 
 def test_a_page_shows_words_and_no_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(figures, "FIGURES", [])
+    monkeypatch.setattr(figures, "FIGURES", {})
     told = {
         "notes": {"views": ["side", "top"], "salt": "", "hand": {"name": "capsule"}, "noise": 0},
         "settings": ["n_action_steps=2"],
@@ -361,7 +365,7 @@ def test_clips_are_the_first_gifs_of_the_folder_itself(
 def test_evaluations_under_other_conditions_are_paired_only_where_that_is_asked_for(
     tmp_path, capsys, monkeypatch
 ):
-    monkeypatch.setattr(figures, "FIGURES", figures.FIGURES[:1])
+    monkeypatch.setattr(figures, "FIGURES", {"main": figures.FIGURES["main"]})
     example_run(tmp_path / "a", "a", 0.9, 8, recipe={"render_noise": 0})
     example_run(tmp_path / "b", "a", 0.3, 8, recipe={"render_noise": 2})
     example_run(tmp_path / "old", "old", 0.5, 4, benchmark="v0")

@@ -10,7 +10,6 @@ from dynahoi_lerobot.core.conventions import frames_until
 from dynahoi_lerobot.core.protocols import one_hot_phase
 from dynahoi_lerobot.rollout.inference import (
     Inference,
-    QueuedPolicy,
     RealTimeAgent,
     StepwiseInference,
 )
@@ -129,18 +128,18 @@ def test_a_chunk_is_ready_at_the_first_frame_at_which_its_inference_has_ended(
     assert frames_until(latency_ms / 1000) == frames
 
 
-def stepwise(policy: QueuedPolicy, latency_ms: float, frames: int) -> list[float]:
+def stepwise(n_action_steps: int, latency_ms: float, frames: int) -> list[float]:
     """What is executed in each frame of a world that plays so many.
 
     As LeRobot's policies do, this one infers if its queue is empty, and else answers from it
     without a look.
     """
-    inference = StepwiseInference(policy, Inference("async", latency_ms))
+    inference = StepwiseInference(Inference("async", latency_ms), "p", n_action_steps)
     queue = deque[float]()
     executed = list[float]()
     for _ in range(inference.calls(frames)):
         if not queue:
-            queue.extend(float(101 * len(executed) + i) for i in range(policy.n_action_steps))
+            queue.extend(float(101 * len(executed) + i) for i in range(n_action_steps))
         command = inference.answer(np.full((1, 18), queue.popleft()), np.full((1, 18), STILL))
         executed += [] if command is None else [float(command[0, 0])]
     return executed[:frames]
@@ -149,11 +148,11 @@ def stepwise(policy: QueuedPolicy, latency_ms: float, frames: int) -> list[float
 @pytest.mark.parametrize("latency_ms", [0.0, 50.0, 100.0, 150.0, 300.0])
 def test_with_a_queue_the_timing_is_that_of_whole_chunks(latency_ms: float):
     expected = played(RealTimeAgent(Clock(horizon=12), Inference("async", latency_ms)), 30)[0]
-    assert stepwise(QueuedPolicy("twelve", 12), latency_ms, 30) == expected.tolist()
+    assert stepwise(12, latency_ms, 30) == expected.tolist()
 
 
 def test_a_new_episode_begins_with_an_inference():
-    inference = StepwiseInference(QueuedPolicy("two", 2), Inference("async", 50.0))
+    inference = StepwiseInference(Inference("async", 50.0), "two", 2)
     still = np.full((1, 18), STILL)
     action = np.zeros((1, 18))
     assert [inference.answer(action, still) is None for _ in range(3)] == [True, False, True]
@@ -164,14 +163,16 @@ def test_a_new_episode_begins_with_an_inference():
 
 
 @pytest.mark.parametrize(
-    ("policy", "timing"),
+    ("timing", "n_action_steps", "lookback_frames"),
     [
-        (QueuedPolicy("p", 6), Inference("rtc", 150.0)),
-        (QueuedPolicy("p", 6), Inference("async", None)),
-        (QueuedPolicy("p", 3), Inference("async", 150.0)),
-        (QueuedPolicy("p", 6, lookback_frames=4), Inference("async", 150.0)),
+        (Inference("rtc", 150.0), 6, 0),
+        (Inference("async", None), 6, 0),
+        (Inference("async", 150.0), 3, 0),
+        (Inference("async", 150.0), 6, 4),
     ],
 )
-def test_timings_that_a_queue_cannot_have_are_refused(policy: QueuedPolicy, timing: Inference):
+def test_timings_that_a_queue_cannot_have_are_refused(
+    timing: Inference, n_action_steps: int, lookback_frames: int
+):
     with pytest.raises(ValueError, match=r"use async|declare it|'p'"):
-        StepwiseInference(policy, timing)
+        StepwiseInference(timing, "p", n_action_steps, lookback_frames=lookback_frames)

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import accept
+from benchmarks import pin
 from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.sampling import accepted
 from dynahoi_lerobot.sampling.accepted import ENTRIES, entries_of
-from dynahoi_lerobot.sampling.benchmark import BENCHMARK
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK, BENCHMARK_ID
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_spec, sample_specs, search
 from dynahoi_lerobot.sampling.splits import split_seeds
@@ -59,10 +59,12 @@ def test_the_sampler_draws_the_same_as_a_search_from_the_beginning(split: str):
 @pytest.mark.slow
 @pytest.mark.parametrize("split", STREAMS)
 def test_the_file_says_of_every_seed_what_a_search_finds(split: str):
-    found = accept.entries(split, split_seeds(split))
-    assert accept.differences({split: found}, ENTRIES) == []
-    recipe = Recipe(split=split)
-    assert_same(sample_specs(recipe, range(len(found))), searched(recipe, split_seeds(split)))
+    accepted = pin.searched(split, split_seeds(split))
+    entries = {split: pin.entries_of(split, accepted)}
+    assert pin.entry_differences(entries, BENCHMARK_ID, ENTRIES) == []
+    assert_same(
+        sample_specs(Recipe(split=split), split_seeds(split)), [spec for _, spec in accepted]
+    )
 
 
 @pytest.mark.parametrize(
@@ -112,3 +114,13 @@ def test_an_entry_that_leads_elsewhere_is_searched_instead(field: str, fresh, tm
 def test_entries_of_another_benchmark_are_not_read(fresh):
     fresh.setattr(accepted, "BENCHMARK_ID", "v4-00000000")
     assert entries_of(TEST) == {}
+
+
+def test_a_file_that_differs_is_told_by_the_first_seed(tmp_path: Path):
+    with np.load(ENTRIES) as stored:
+        arrays = {name: stored[name] for name in stored}
+    wanted = {name: arrays[name].copy() for name in STREAMS}
+    arrays["val"]["home"][7:9] += 1
+    np.savez(tmp_path / "accepted.npz", **arrays)
+    (sentence,) = pin.entry_differences(wanted, BENCHMARK_ID, tmp_path / "accepted.npz")
+    assert sentence == "2 of 220 entries of val differ, the first is 7"

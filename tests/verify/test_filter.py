@@ -82,6 +82,7 @@ def test_named_episodes_are_left_out(with_outlier, tmp_path):
 
 
 COLUMNS = [
+    (ROWS, {"tasks": [0.5]}, "its column tasks is of type double; it must be list<"),
     (ROWS, {"benchmark": [None]}, "benchmark must be a valid string, got None"),
     (TRUTH, {"frame_index": [0]}, "privileged tables of other episodes"),
     (DATA, {"action": [[0.0] * 17, [0.0] * 18]}, "its column action is of"),

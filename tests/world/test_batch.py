@@ -49,13 +49,13 @@ def images(short: list[EpisodeSpec]) -> dict[int, str]:
 
 
 @pytest.mark.parametrize(("step", "size", "threads"), [(1, 3, 2), (-1, 5, 1)])
-def test_states_depend_on_no_batch_size_thread_count_neighbour_or_row(
+def test_states_depend_on_no_batch_size_thread_count_neighbor_or_row(
     every_kind, reference, step, size, threads
 ):
     assert digests(every_kind[::step], size, threads) == reference
 
 
-def test_pixels_depend_on_no_batch_size_and_no_neighbour(
+def test_pixels_depend_on_no_batch_size_and_no_neighbor(
     short: list[EpisodeSpec], images: dict[int, str]
 ):
     assert len(set(images.values())) == len(short)

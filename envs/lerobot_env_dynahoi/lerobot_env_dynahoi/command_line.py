@@ -20,7 +20,7 @@ from dynahoi_lerobot.evaluate.checkpoint import (
     renamed,
     trained_for,
 )
-from dynahoi_lerobot.rollout.inference import QueuedPolicy
+from dynahoi_lerobot.rollout.inference import Inference, StepwiseInference
 
 
 @dataclass(frozen=True)
@@ -51,15 +51,17 @@ class Launch:
         """
         return self.output_dir / "dynahoi" / datetime.now().strftime("%Y-%m-%d_%H-%M-%S_%f")
 
-    def queued_policy(self, n_action_steps: int) -> QueuedPolicy:
-        """Return how the policy answers calls for one action.
+    def stepwise(self, timing: Inference, n_action_steps: int) -> StepwiseInference:
+        """Return the timeline of one environment whose policy is asked for one action a call.
 
         Args:
+            timing: of the policy's inference.
             n_action_steps: how many calls an inference answers, where no command line names the
                 policy; 0 if not told.
 
         Raises:
-            ValueError: if neither says how many, or if the two differ.
+            ValueError: if neither says how many, if the two differ, or if the timing cannot be had
+                with the policy.
         """
         name = getattr(self.config, "type", "policy")
         steps = getattr(self.config, "n_action_steps", 0) or n_action_steps
@@ -75,7 +77,7 @@ class Launch:
         frames = getattr(self.config, "observation_delta_indices", None) or [0]
         if getattr(self.config, "sees_frames_once", False):
             frames = [0]  # it does not mind that the world stands still while its queue is read
-        return QueuedPolicy(name, steps, lookback_frames=-min(frames))
+        return StepwiseInference(timing, name, steps, lookback_frames=-min(frames))
 
 
 def read_launch(*, policy_config: bool = False) -> Launch:

@@ -19,7 +19,7 @@ from dynahoi_lerobot.core.registry import known
 from dynahoi_lerobot.env.vector_env import REWARDS, SPARSE
 from dynahoi_lerobot.evaluate.results import RunInfo
 from dynahoi_lerobot.motions import MOTIONS
-from dynahoi_lerobot.rollout.inference import SYNC, Inference, StepwiseInference
+from dynahoi_lerobot.rollout.inference import SYNC, Inference
 from dynahoi_lerobot.rules import Rules
 from dynahoi_lerobot.sampling.recipe import Recipe
 from lerobot_env_dynahoi.command_line import Launch, read_launch
@@ -123,16 +123,13 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
         recipe = self.recipe(launch.rules)
         self._announce(launch)
         self._describe(recipe.rules, launch.renames)
-        policy = None if timing.mode == SYNC else launch.queued_policy(self.n_action_steps)
         log = self._log(launch, recipe, timing)
         suites: dict[str, dict[int, gym.vector.VectorEnv]] = {}
         for kind in kinds_of(self.task, recipe.motion_names):
             tasks = suites.setdefault(MOTIONS[kind].category, {})
-            options: dict[str, Any] = {
-                "recipe": recipe,
-                "reward": self.reward,
-                "inference": None if policy is None else StepwiseInference(policy, timing),
-            }
+            options: dict[str, Any] = {"recipe": recipe, "reward": self.reward}
+            if timing.mode != SYNC:
+                options["inference"] = launch.stepwise(timing, self.n_action_steps)
             tasks[len(tasks)] = TaskEnv(n_envs, on_episode=log, kind=kind, **options)
         return suites
 
