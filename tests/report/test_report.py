@@ -204,10 +204,9 @@ def test_a_figure_of_grasps_leaves_out_whom_they_do_not_apply_to(odd: list[Entry
 
 @pytest.fixture(scope="module")
 def content(entries: list[Entry]) -> dict:
-    patch = pytest.MonkeyPatch()
-    patch.setattr(figures, "FIGURES", {})
-    yield page_content(entries)
-    patch.undo()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(figures, "FIGURES", {})
+        return page_content(entries)
 
 
 def column(table: Table, title: str) -> dict:
