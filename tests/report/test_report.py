@@ -33,6 +33,7 @@ HOSTILE = (
     "<script>alert('x')</script><img src=https://evil.example/a.png onerror=alert(1)>\"&{{ "
     "7*7 }} $x^{"
 )
+FIGURES = dict(figures.FIGURES)
 ALWAYS = {
     "main",
     "stages",
@@ -153,7 +154,7 @@ def test_folders_that_cannot_be_read_are_left_out_with_a_word_each(
 
 
 def render(name: str, entries: list[Entry]) -> str | None:
-    return figures.render(figures.FIGURES[name][1], entries)
+    return figures.render(FIGURES[name][1], entries)
 
 
 @pytest.mark.parametrize("name", figures.FIGURES)
@@ -293,7 +294,7 @@ class Page(HTMLParser):
 
 
 def test_a_page_holds_everything_and_loads_nothing(runs: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(figures, "FIGURES", {"stages": figures.FIGURES["stages"]})
+    monkeypatch.setattr(figures, "FIGURES", {"stages": FIGURES["stages"]})
     folders = [runs / "strong", runs / "hostile"]
     html = render_report(folders, runs / "report.html").read_text()
     parsed = Page(html)
@@ -364,7 +365,7 @@ def test_clips_are_the_first_gifs_of_the_folder_itself(
 def test_evaluations_under_other_conditions_are_paired_only_where_that_is_asked_for(
     tmp_path, capsys, monkeypatch
 ):
-    monkeypatch.setattr(figures, "FIGURES", {"main": figures.FIGURES["main"]})
+    monkeypatch.setattr(figures, "FIGURES", {"main": FIGURES["main"]})
     example_run(tmp_path / "a", "a", 0.9, 8, recipe={"render_noise": 0})
     example_run(tmp_path / "b", "a", 0.3, 8, recipe={"render_noise": 2})
     example_run(tmp_path / "old", "old", 0.5, 4, benchmark="v0")
