@@ -14,6 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.reading import (
     ReadError,
     decoded,
@@ -27,9 +28,12 @@ from dynahoi_lerobot.core.reading import (
 )  # fmt: skip
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store, open_dataset
+from dynahoi_lerobot.dataset.video import Encoding
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import read_results
+from tests.dataset.episodes import write
 from tests.synthetic import run_info, synthetic_episode, write_results
+from tests.verify.test_forgeries import EGO, column
 
 
 @pytest.fixture(scope="module")
@@ -85,6 +89,17 @@ def test_a_file_that_is_cut_or_no_file_is_one_sentence(
             opener(whole)
         assert "\n" not in str(refused.value), name
         shutil.rmtree(whole)
+
+
+def test_an_image_that_names_a_file_in_place_of_its_bytes_is_refused(tmp_path, capsys):
+    root = write(tmp_path / "d", range(1), encoding=Encoding("images"))
+    path = root / "data/chunk-000/file-000.parquet"
+    os.mkfifo(tmp_path / "pipe")
+    named = {"bytes": None, "path": str(tmp_path / "pipe")}
+    column(path.relative_to(root), EGO, lambda images: [named] * len(images))(root)
+    words = ["view", "--dataset", str(root), "--episode", "0", "--out", str(tmp_path / "x.gif")]
+    assert main(words) == 2
+    assert str(path) in capsys.readouterr().err
 
 
 VALUES: list[Any] = [None, True, -1, 10**30, float("nan"), "x", [None], {"x": {}}, "\ud800"]
