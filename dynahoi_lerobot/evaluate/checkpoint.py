@@ -30,7 +30,6 @@ from dynahoi_lerobot.core.reading import (
     read_json,
     read_object,
     reading,
-    regular,
     require,
     sha256,
     tensor_shapes,
@@ -261,7 +260,7 @@ def load_policy(
     config.device = device or config.device
     base = base_folder(folder)
     for file in {(base or folder) / WEIGHTS, *folder.glob("*.safetensors")}:
-        regular(file)  # LeRobot would wait for a pipe
+        tensor_shapes(file)  # LeRobot would wait for a pipe, and read a damaged file last
     overrides = {"device_processor": {"device": str(config.device)}}
     try:
         with _quiet():
