@@ -141,11 +141,12 @@ class ObActPolicy(PreTrainedPolicy):
         return replace(window, begin=begin.to(device), targets=targets.to(device))
 
     def _drawn_delay(self) -> int:
-        """Return after how many frames commands take effect in a step of the training: those that
-        the robot takes, and now and then those of an inference.
+        """Return after how many frames commands take effect in this step of the training: the
+        robot's own delay, plus that of an inference in `delayed_share` of the steps.
         """
         config = self.config
         delay_frames = config.embodiment.delay_frames
+        # a share of 0 draws no random number, so that the others stay the same
         draws = self.training and config.horizon > 1 and config.delayed_share > 0
         if draws and torch.rand(()) < config.delayed_share:
             delay_frames += int(torch.randint(1, config.horizon, ()))
