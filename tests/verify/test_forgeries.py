@@ -4,7 +4,8 @@ follows from seeds and states.
 
 import dataclasses
 import shutil
-from collections.abc import Callable
+import struct
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import av
@@ -127,25 +128,42 @@ def rewritten(change: Callable[[Episode], Episode]) -> Forgery:
     return apply
 
 
-def container(change: Callable[[list], list], rate: int = 1) -> Forgery:
-    """Put what ``change`` makes of a video's packets into another file, ``rate`` times as slow."""
+def container(
+    change: Callable[[list], list] = list,
+    *,
+    rate: int = 1,
+    further: bool = False,
+    matrix: Sequence[int] = (),
+) -> Forgery:
+    """Put what ``change`` makes of a video's packets into another file: at another pace, beside a
+    stream, or turned.
+    """
 
     def apply(root: Path) -> None:
         path = root / VIDEO
         made = root / "again.mp4"
         with av.open(str(path)) as source, av.open(str(made), "w") as target:
-            stream = target.add_stream_from_template(source.streams.video[0])
+            streams = [
+                target.add_stream_from_template(source.streams.video[0]) for _ in range(1 + further)
+            ]
             packets = [packet for packet in source.demux(video=0) if packet.size]
             places = [packet.pts * rate for packet in packets]
             for packet, place in zip(change(packets), places, strict=False):
-                copy = av.Packet(bytes(packet))
-                copy.stream = stream
-                copy.time_base = packet.time_base
-                copy.is_keyframe = packet.is_keyframe
-                copy.pts = place
-                copy.dts = place
-                target.mux(copy)
-        made.replace(path)
+                for stream in streams:
+                    copy = av.Packet(bytes(packet))
+                    copy.stream = stream
+                    copy.time_base = packet.time_base
+                    copy.is_keyframe = packet.is_keyframe
+                    copy.pts = place
+                    copy.dts = place
+                    copy.duration = rate * (packet.duration or 0)
+                    target.mux(copy)
+        content = made.read_bytes()
+        if matrix:
+            place = content.index(b"tkhd") + 44
+            content = content[:place] + struct.pack(">9i", *matrix) + content[place + 36 :]
+        path.write_bytes(content)
+        made.unlink()
 
     return apply
 
@@ -186,9 +204,11 @@ FORGERIES: dict[str, Forgery] = {
     ),
     # videos
     "videos of two views exchanged": exchanged_videos,
-    "a video at another rate": container(list, rate=2),
+    "a video at another rate": container(rate=2),
     "an image fewer": container(lambda packets: packets[:-1]),
     "an episode that begins without a key frame": container(swapped),
+    "a second stream": container(further=True),
+    "a video turned by 90 degrees": container(matrix=(0, 65536, 0, -65536, 0, 0, 0, 0, 2**30)),
     # the manifest
     "seeds in the manifest": told(MANIFEST, "seeds", value=swapped),
     "counts in the manifest": told(MANIFEST, "frames", value=lambda frames: frames + 1),
