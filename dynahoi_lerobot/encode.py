@@ -8,9 +8,11 @@ windows of these in the time that it needs to decode a few images.
 import json
 import shutil
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stderr
 from dataclasses import dataclass, replace
 from io import StringIO
+from itertools import batched
 from pathlib import Path
 from typing import Any
 
@@ -31,9 +33,17 @@ from dynahoi_lerobot.core.reading import reading
 from dynahoi_lerobot.dataset import paths
 from dynahoi_lerobot.dataset.manifest import ENCODED, Manifest, hash_files
 from dynahoi_lerobot.dataset.statistics import column_stats
-from dynahoi_lerobot.dataset.store import Store, episode_column, frame_column, open_dataset
+from dynahoi_lerobot.dataset.store import (
+    Store,
+    StoredEpisode,
+    episode_column,
+    frame_column,
+    open_dataset,
+)
+from dynahoi_lerobot.doctor import cores
 from dynahoi_lerobot.world.detector import eye_state
 
+EPISODES_AT_ONCE = 64  # whose tables are in memory
 SIGHTINGS_PREFIX = OBSERVATION_PREFIX + "sightings."
 """Prefix of the key of a column with the sightings in a view."""
 
@@ -125,13 +135,22 @@ def encode(
 
 def _sightings(store: Store, views: dict[str, ImageSensor]) -> Iterator[np.ndarray]:
     """Yield the sightings of all frames in each view, (N, D) float32."""
+
+    def see(stored: StoredEpisode) -> dict[str, np.ndarray]:
+        sightings = {}
+        for view, sensor in views.items():
+            images = store.images(stored.row, stored.frames, IMAGE_PREFIX + view)
+            before = np.concatenate([images[:1], images[:-1]])
+            sightings[view] = sensor.see(images, before)
+        return sightings
+
     found: dict[str, list[np.ndarray]] = {view: [] for view in views}
-    with reading(store.root):
-        for stored in store.stored_episodes():
-            for view, sensor in views.items():
-                images = store.images(stored.row, stored.frames, IMAGE_PREFIX + view)
-                before = np.concatenate([images[:1], images[:-1]])
-                found[view].append(sensor.see(images, before))
+    # decoders and networks release Python's lock
+    with reading(store.root), ThreadPoolExecutor(cores()) as pool:
+        for episodes in batched(store.stored_episodes(), EPISODES_AT_ONCE):
+            for sightings in pool.map(see, episodes):
+                for view, values in sightings.items():
+                    found[view].append(values)
     return (np.concatenate(parts) for parts in found.values())
 
 

@@ -36,6 +36,7 @@ class ImageSensor(Protocol):
         """Return sightings (F, D) float32 in images (F, H, W, 3) uint8 RGB.
 
         ``before`` are those one frame earlier; the first of an episode stands before itself.
+        `dynahoi encode` calls it from several threads at once.
         """
         ...
 
