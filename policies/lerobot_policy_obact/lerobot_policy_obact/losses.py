@@ -17,7 +17,7 @@ from einops import rearrange, repeat
 from torch import Tensor
 
 from .configuration_obact import ObActConfig
-from .forecaster import FORECAST_FRAMES, Forecast
+from .forecaster import FORECAST_FRAMES, Forecast, GrowingUnit
 from .frames import Record, gather_frames, palm_of
 from .network import ObActModel, rolled_out
 from .teacher import Teacher
@@ -27,9 +27,7 @@ UNREACHABLE_WEIGHT = 0.1  # weight of what should be done about a target that is
 MISSED_WEIGHT = 10.0
 """Weight in the loss of the distance from the place that attention picks from the forecast to the
 right one [1/m]: 10 cm count as one. Not tuned."""
-FORECAST_M, FORECAST_M_S = 0.05, 0.3
-"""Errors of the forecast count in units of this much, and so much more for every second ahead: what
-lies farther ahead can be known less well."""
+FORECAST_ERROR = GrowingUnit(0.05, 0.3)  # in which errors of the forecast count
 INTERCEPT_WEIGHT = 10.0  # weight of the error of the forecast near the intercept [1/m]
 INTERCEPT_SPREAD = 0.25  # times are near an intercept within this share of the time left until then
 RIM = 0.9
@@ -97,7 +95,7 @@ class Future(Record):
     def loss(self, forecast: Tensor, ahead_s: Tensor) -> Tensor:
         """Return the loss of forecasts ``(B, Q, K, 3)`` [m] by window, ``(B,)``."""
         error = ((forecast - self.place).square().sum(-1) + 1e-8).sqrt() * self.known
-        anywhere = (error / (FORECAST_M + FORECAST_M_S * ahead_s)).mean((1, 2))
+        anywhere = (error / FORECAST_ERROR.at(ahead_s)).mean((1, 2))
         return anywhere + INTERCEPT_WEIGHT * (error * self.near).sum(-1).mean(1)
 
 
