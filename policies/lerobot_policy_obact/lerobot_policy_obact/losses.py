@@ -10,17 +10,16 @@ another hand, and do not change with where the palm gets to. Training only.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from einops import rearrange, repeat
 from torch import Tensor
 
-from .configuration_obact import ObActConfig
 from .forecaster import FORECAST_FRAMES, Forecast, GrowingUnit
-from .frames import Record, gather_frames, palm_of
+from .frames import gather_frames, palm_of
 from .network import ObActModel, rolled_out
-from .teacher import Teacher
+from .teacher import Targets, Teacher
 from .windows import Window
 
 UNREACHABLE_WEIGHT = 0.1  # weight of what should be done about a target that is out of reach
@@ -48,20 +47,12 @@ def window_losses(model: ObActModel, window: Window, teacher: Teacher | None) ->
     alone.
     """
     config = model.config
-    n_frames = window.recorded.shape[1]
-    now = torch.full_like(window.begin, config.n_obs_steps - 1)[:, None]
-    if teacher is None or window.targets is None:
-        palm = gather_frames(window.frames.palm, now)
-        state = gather_frames(window.frames.state, now)
-        decisions = Decisions(
-            palm[:, :, None],
-            state[:, :, None],
-            window.actions[:, None, None],
-            window.action_weight[:, None, None],
-        )
-        return decision_losses(model, model.encode_history(window.frames, now), decisions)
-    late = window.delay_frames
     targets = window.targets
+    if teacher is None or targets is None:
+        return {"action": recorded_loss(model, window)}
+    n_frames = window.recorded.shape[1]
+    late = window.delay_frames
+    now = torch.full_like(window.begin, config.n_obs_steps - 1)[:, None]
     # the last decision takes effect before the catch, in the window, and with two known frames of
     # the target's path, in which to meet it, still to come
     last = torch.minimum(targets.free, targets.length - 2).clamp_max(n_frames) - 1 - late
@@ -73,46 +64,33 @@ def window_losses(model: ObActModel, window: Window, teacher: Teacher | None) ->
     rolled = rolled.clamp_max(n_frames - 1)
     decided = torch.cat([rows, rolled], dim=1) if config.n_future_steps else rows
     forecast = model.encode_history(window.frames, decided)
-    decisions = decisions_at(window, rows, teacher, config)
-    losses = decision_losses(model, forecast[:, : config.n_decisions], decisions)
+    losses = decision_losses(model, forecast[:, : config.n_decisions], window, rows, teacher)
     if config.n_future_steps and config.closed_loop_weight:
         rolled_forecast = forecast[:, config.n_decisions :].later(late)
         losses["closed_loop"] = closed_loop_loss(model, rolled_forecast, window, rolled, teacher)
     return losses
 
 
+def recorded_loss(model: ObActModel, window: Window) -> Tensor:
+    """Return the loss of the recorded actions in the current frames, ``(B,)``."""
+    now = model.config.n_obs_steps - 1
+    rows = torch.full_like(window.begin, now)[:, None]
+    forecast = model.encode_history(window.frames, rows)[:, 0]
+    frames = window.frames
+    context, origin = model.condition(forecast, frames.palm[:, now], frames.state[:, now])
+    actions = model.normalize(window.actions, origin.detach())
+    return model.head.loss(context, actions, window.action_weight)
+
+
 # -- decisions -------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Future(Record):
-    """Where the target will be at the K times of a forecast."""
-
-    place: Tensor  # there [m], (B, Q, K, 3)
-    known: Tensor  # which of those are known, (B, Q, K)
-    near: Tensor  # weight of each time by how near it is to the intercept, (B, Q, K)
-
-    def loss(self, forecast: Tensor, ahead_s: Tensor) -> Tensor:
-        """Return the loss of forecasts ``(B, Q, K, 3)`` [m] by window, ``(B,)``."""
-        error = ((forecast - self.place).square().sum(-1) + 1e-8).sqrt() * self.known
-        anywhere = (error / FORECAST_ERROR.at(ahead_s)).mean((1, 2))
-        return anywhere + INTERCEPT_WEIGHT * (error * self.near).sum(-1).mean(1)
-
-
-@dataclass(frozen=True)
-class Decisions(Record):
-    """What Q decisions in each of B windows should have been, from each of M palms."""
-
-    palm: Tensor  # where the palm is when the command takes effect [m], (B, Q, M, 3)
-    state: Tensor  # of the robot, (B, Q, M, S)
-    actions: Tensor  # the right ones, (B, Q, M, H, A)
-    weight: Tensor  # of each, 0 for padding, (B, Q, M, H)
-    delay_frames: int = 0  # until the commands take effect
-    future: Future | None = None  # where the target will be; None if nobody knows
-
-
-def decisions_at(window: Window, rows: Tensor, teacher: Teacher, config: ObActConfig) -> Decisions:
-    """Return the teacher's answers to decisions at ``rows`` ``(B, Q)``, for several palms."""
+def decision_losses(
+    model: ObActModel, forecast: Forecast, window: Window, rows: Tensor, teacher: Teacher
+) -> dict[str, Tensor]:
+    """Return the losses of decisions at frames ``rows`` ``(B, Q)`` by window, ``(B,)`` each: of
+    the forecast, and of the actions of M palms in place of each decision's own.
+    """
     targets = window.targets
     late = window.delay_frames
     assert targets is not None
@@ -120,25 +98,44 @@ def decisions_at(window: Window, rows: Tensor, teacher: Teacher, config: ObActCo
     palm = gather_frames(window.frames.palm, (rows + late).clamp_max(last))
     # at the latest in the last frame but one that is known: a teacher looks a frame ahead
     due = torch.minimum(rows + late, targets.length[:, None] - 2)
-    palms = teacher.palms(targets, due, palm)
-    answers = teacher.answer(targets, due, palms, config.horizon)
-    index = rows[..., None] + torch.tensor(FORECAST_FRAMES, device=rows.device)
+    palms = teacher.palms(targets, due, palm)  # (B, Q, M, 3)
+    answers = teacher.answer(targets, due, palms, model.config.horizon)
+    near = _nearness(answers.frames + late, answers.reachable)
+    losses = {"forecast": forecast_loss(model, forecast.places, targets, rows, near)}
+
+    n_windows, _, n_palms = palms.shape[:3]
+    state = repeat(gather_frames(window.frames.state, rows), "b q s -> (b q m) s", m=n_palms)
+    repeated = replace(forecast.later(late), attention=None).map(
+        lambda x: repeat(x, "b q ... -> (b q m) ...", m=n_palms)
+    )
+    context, origin = model.condition(repeated, palms.flatten(0, 2), state)
+    actions = torch.cat([answers.goal, teacher.joints(answers.closing)], dim=-1).flatten(0, 2)
     weight = torch.where(answers.reachable, 1.0, UNREACHABLE_WEIGHT)
     # nothing is decided that would take effect after the catch
     weight = weight * (rows + late < targets.free[:, None])[..., None]
-    state = gather_frames(window.frames.state, rows)[:, :, None]
-    return Decisions(
-        palm=palms,
-        state=state.expand(-1, -1, palms.shape[2], -1),
-        actions=torch.cat([answers.goal, teacher.joints(answers.closing)], dim=-1),
-        weight=repeat(weight, "b q m -> b q m h", h=config.horizon),
-        delay_frames=late,
-        future=Future(
-            place=targets.places(index),
-            known=index < targets.length[:, None, None],
-            near=_nearness(answers.frames + late, answers.reachable),
-        ),
-    )
+    weight = repeat(weight, "b q m -> (b q m) h", h=model.config.horizon)
+    # (B * Q * M,)
+    loss = model.head.loss(context, model.normalize(actions, origin.detach()), weight)
+    losses["action"] = rearrange(loss, "(b n) -> b n", b=n_windows).mean(1)
+    # by the place that was picked
+    missed = ((palm_of(actions) - origin).square().sum(-1) + 1e-8).sqrt()
+    missed = rearrange((missed * weight).mean(-1), "(b n) -> b n", b=n_windows)
+    losses["missed"] = MISSED_WEIGHT * missed.mean(1)
+    return losses
+
+
+def forecast_loss(
+    model: ObActModel, places: Tensor, targets: Targets, rows: Tensor, near: Tensor
+) -> Tensor:
+    """Return the loss of forecasts ``(B, Q, K, 3)`` [m] made at frames ``rows`` ``(B, Q)`` by
+    window, ``(B,)``; ``near`` says how much each time counts as one of the intercept, ``(B, Q,
+    K)``.
+    """
+    index = rows[..., None] + torch.tensor(FORECAST_FRAMES, device=rows.device)
+    known = index < targets.length[:, None, None]
+    error = ((places - targets.places(index)).square().sum(-1) + 1e-8).sqrt() * known
+    anywhere = (error / FORECAST_ERROR.at(model.forecaster.ahead_s)).mean((1, 2))
+    return anywhere + INTERCEPT_WEIGHT * (error * near).sum(-1).mean(1)
 
 
 def _nearness(frames: Tensor, reachable: Tensor) -> Tensor:
@@ -149,34 +146,6 @@ def _nearness(frames: Tensor, reachable: Tensor) -> Tensor:
     left = frames.clamp_max(FORECAST_FRAMES[-1]).float()[..., None]
     weight = (1 - (times - left).abs() / (1 + INTERCEPT_SPREAD * left)).clamp_min(0)
     return (weight / weight.sum(-1, keepdim=True).clamp_min(1e-6) * reachable[..., None]).mean(2)
-
-
-def decision_losses(
-    model: ObActModel, forecast: Forecast, decisions: Decisions
-) -> dict[str, Tensor]:
-    """Return the losses of forecast and action by window, ``(B,)`` each."""
-    losses = {}
-    n_windows = len(forecast.features)
-    n_palms = decisions.palm.shape[2]
-    if decisions.future is not None:
-        losses["forecast"] = decisions.future.loss(forecast.places, model.forecaster.ahead_s)
-    palm, state, actions, weight = (
-        x.flatten(0, 2)
-        for x in (decisions.palm, decisions.state, decisions.actions, decisions.weight)
-    )
-    forecast = replace(forecast.later(decisions.delay_frames), attention=None).map(
-        lambda x: repeat(x, "b q ... -> (b q m) ...", m=n_palms)
-    )
-    context, origin = model.condition(forecast, palm, state)
-    # (B * Q * M,)
-    loss = model.head.loss(context, model.normalize(actions, origin.detach()), weight)
-    losses["action"] = rearrange(loss, "(b n) -> b n", b=n_windows).mean(1)
-    if decisions.future is not None:
-        # by the place that was picked
-        missed = ((palm_of(actions) - origin).square().sum(-1) + 1e-8).sqrt()
-        missed = rearrange((missed * weight).mean(-1), "(b n) -> b n", b=n_windows)
-        losses["missed"] = MISSED_WEIGHT * missed.mean(1)
-    return losses
 
 
 # -- the closed loop -------------------------------------------------------------------------------
