@@ -104,10 +104,10 @@ def _features() -> list[Row]:
 
 def _feature(feature: Feature, shape: str) -> Row:
     cases = [
-        (feature.constant, "constant over the episode"),
-        (feature.privileged, f"in meta/privileged{'' if feature.by_frame else '_episodes'}"),
+        (feature.per == "episode", "constant over the episode"),
+        (feature.privileged, f"in meta/privileged{'' if feature.per == 'frame' else '_episodes'}"),
     ]
-    cases += [(feature.per != "frame", f"a row per {feature.per}")]
+    cases += [(feature.is_ragged, f"a row per {feature.per}")]
     cases += [(feature.needs_contact_sensors, "only if the capture rule uses contact sensors")]
     cases += [(feature.on_request, "only on request")]
     notes = "; ".join(words for holds, words in cases if holds)
