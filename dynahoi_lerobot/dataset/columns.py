@@ -265,8 +265,10 @@ def subtask_rows(acting: np.ndarray, localized: np.ndarray) -> list[dict[str, An
             "content": SUBTASKS[int(state[frame])],
             "style": "subtask",
             "timestamp": time_s,
+            "camera": None,
+            "tool_calls": None,
         }
-        rows.append(row | {"camera": None, "tool_calls": None})
+        rows.append(row)
     return rows
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from dynahoi_lerobot.core.arguments import argument, option
 from dynahoi_lerobot.core.escaping import data_url, printable
-from dynahoi_lerobot.core.files import write_atomically
+from dynahoi_lerobot.core.files import write_text_atomically
 from dynahoi_lerobot.core.reading import ReadError, inside, read_bytes
 from dynahoi_lerobot.evaluate import table
 from dynahoi_lerobot.evaluate.compare import COMMANDS, CROSSABLE, compare, unequal_conditions
@@ -119,7 +119,7 @@ def write_page(entries: Sequence[Entry], out: Path, across: Collection[str] = ()
     )
     html = environment.get_template("report.html.j2").render(**page_content(entries, across))
     page = Path(out) / FILE_NAME if Path(out).is_dir() else Path(out)
-    write_atomically({page: lambda path: path.write_text(html, encoding="utf-8")})
+    write_text_atomically(page, html)
     return page
 
 
