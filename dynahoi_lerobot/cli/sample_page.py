@@ -67,7 +67,8 @@ def stratified(kinds: list[str], per_kind: int) -> list[int]:
 
 def read_episode(store: Store, index: int, key: str) -> tuple[EpisodeRow, pa.Table, np.ndarray]:
     """Return an episode's row, its T frames, and its (T, H, W, 3) uint8 images ``key``."""
-    table = store.frames(row := store.row(index))
+    row = store.row(index)
+    table = store.frames(row)
     return row, table, store.images(row, table, key)
 
 

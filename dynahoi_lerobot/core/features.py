@@ -574,9 +574,8 @@ def action_feature(control_mode: str) -> Feature:
         return feature
     meaning = (
         "displacement from the palm's current position to the goal of control mode joints, "
-        "along the axes of the "
+        "along the axes of the home frame; closure of the hand, 0 (open) to 1"
     )
-    meaning += "home frame; closure of the hand, 0 (open) to 1"
     names = CONTROL_MODES[control_mode]
     return replace(feature, shape=(len(names),), names=names, unit="m, 1", meaning=meaning)
 

@@ -12,7 +12,8 @@ from typing import Any
 from dynahoi_lerobot.core.files import write_text_atomically
 from dynahoi_lerobot.core.reading import ReadError, read_object
 
-LOCK, TASK = "lock", "plan.json"
+LOCK = "lock"
+TASK = "plan.json"
 """Files of a working folder besides the work: its process's lock and its task."""
 
 

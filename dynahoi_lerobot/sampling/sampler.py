@@ -240,8 +240,10 @@ def _known_specs(recipe: Recipe, seeds: Sequence[int], threads: int) -> dict[int
         entry = entries[candidate.seed]
         home_pos_w = homes[entry["home"]]
         if checksum_of(paths_w, home_pos_w, candidate.target) == entry["checksum"]:
-            specs[i] = candidate.accept(paths_w, home_pos_w)
-    return {i: spec for i, spec in specs.items() if spec is not None}
+            spec = candidate.accept(paths_w, home_pos_w)
+            if spec is not None:
+                specs[i] = spec
+    return specs
 
 
 def resume(
@@ -265,18 +267,12 @@ def resume(
     ahead = RollAhead(recipe.rules.hand_name, threads)
     ahead.place(dict(enumerate(candidates)))
     paths_w = ahead.paths({i: c.timing.path_frames for i, c in enumerate(candidates)})
-    return [
-        (
-            candidate,
-            paths_w[i],
-            tried_homes(
-                paths_w[i][0][candidate.timing.intercept_frame],
-                candidate.timing.travel_m,
-                candidate.rng,
-            ),
-        )
-        for i, candidate in enumerate(candidates)
-    ]
+    resumed = []
+    for i, candidate in enumerate(candidates):
+        meeting_w = paths_w[i][0][candidate.timing.intercept_frame]
+        homes = tried_homes(meeting_w, candidate.timing.travel_m, candidate.rng)
+        resumed.append((candidate, paths_w[i], homes))
+    return resumed
 
 
 def _attempt(ahead: RollAhead, pending: dict[int, Candidate]) -> dict[int, EpisodeSpec]:
@@ -289,10 +285,12 @@ def _attempt(ahead: RollAhead, pending: dict[int, Candidate]) -> dict[int, Episo
     homes = {i: find_homes(near[i], c.timing, c.rng) for i, c in drawn.items()}
     reached = {i: candidate for i, candidate in drawn.items() if len(homes[i])}
     whole = ahead.paths({i: candidate.timing.path_frames for i, candidate in reached.items()})
-    return {
-        i: spec
-        for i, c in reached.items()
-        if all(map(in_arena, whole[i]))
-        and (home := choose_home(whole[i], c.timing, c.fixtures, homes[i])) is not None
-        and (spec := c.accept(whole[i], home)) is not None
-    }
+    found = {}
+    for i, candidate in reached.items():
+        if not all(map(in_arena, whole[i])):
+            continue
+        home = choose_home(whole[i], candidate.timing, candidate.fixtures, homes[i])
+        spec = None if home is None else candidate.accept(whole[i], home)
+        if spec is not None:
+            found[i] = spec
+    return found
