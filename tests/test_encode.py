@@ -48,7 +48,7 @@ def test_what_policies_must_not_see_is_read_back(dataset: Path, encoded: Path):
     features = Store(dataset).privileged.features
     assert "target_path" in [feature.key for feature in features]
     for feature in features:
-        read = frame_column if feature.by_frame else episode_column
+        read = frame_column if feature.per == "frame" else episode_column
         for before, after in zip(
             read(dataset, feature.key), read(encoded, feature.key), strict=True
         ):

@@ -34,15 +34,16 @@ def _motions() -> list[Row]:
     rows = []
     for name, kind in MOTIONS.items():
         tier, periodicity = CATEGORIES[kind.category]
-        row = {"name": name, "category": kind.category, "tier": tier, "periodicity": periodicity}
-        rows.append(
-            {
-                **row,
-                "splits": _splits("motion", name),
-                "ranges": _summary(kind),
-                "shared": _shared(kind),
-            }
-        )
+        row = {
+            "name": name,
+            "category": kind.category,
+            "tier": tier,
+            "periodicity": periodicity,
+            "splits": _splits("motion", name),
+            "ranges": _summary(kind),
+            "shared": _shared(kind),
+        }
+        rows.append(row)
     return sorted(rows, key=lambda row: (list(CATEGORIES).index(row["category"]), row["name"]))
 
 
@@ -104,12 +105,12 @@ def _features() -> list[Row]:
 
 def _feature(feature: Feature, shape: str) -> Row:
     cases = [
-        (feature.constant, "constant over the episode"),
-        (feature.privileged, f"in meta/privileged{'' if feature.by_frame else '_episodes'}"),
+        (feature.per == "episode", "constant over the episode"),
+        (feature.privileged, f"in meta/privileged{'' if feature.per == 'frame' else '_episodes'}"),
+        (feature.is_ragged, f"a row per {feature.per}"),
+        (feature.needs_contact_sensors, "only if the capture rule uses contact sensors"),
+        (feature.on_request, "only on request"),
     ]
-    cases += [(feature.per != "frame", f"a row per {feature.per}")]
-    cases += [(feature.needs_contact_sensors, "only if the capture rule uses contact sensors")]
-    cases += [(feature.on_request, "only on request")]
     notes = "; ".join(words for holds, words in cases if holds)
     return {
         "dataset": feature.key,

@@ -16,7 +16,7 @@ import webbrowser
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import redirect_stdout
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tqdm import tqdm
@@ -55,19 +55,9 @@ POLICY = "obact"
 """Name of the trained policy's results."""
 
 
-@dataclass(frozen=True)
-class Size:
-    """How much is done: dataset episodes, training steps, evaluation episodes per kind, and how
-    many of ``KINDS``.
-    """
-
-    episodes: int = 800
-    steps: int = 400
-    per_kind: int = 2
-    kinds: int = len(KINDS)
-
-
-TINY = Size(episodes=2, steps=5, per_kind=1, kinds=2)
+TINY = {"episodes": 2, "steps": 5, "evaluation_episodes": 1}
+TINY_KINDS = 2
+"""What ``--tiny`` does: values of the options, and how many of ``KINDS``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,13 +65,16 @@ class Options:
     """Of ``dynahoi quickstart``."""
 
     out: Path = option(Path("outputs/quickstart"), "output folder")
-    episodes: int = option(Size.episodes, "dataset episodes", whole(1, 10**6))
-    steps: int = option(Size.steps, "training steps", whole(1, 10**6))
-    evaluation_episodes: int = option(
-        Size.per_kind, "evaluation episodes per kind of motion", whole(1, 1000)
-    )
+    episodes: int = option(800, "dataset episodes", whole(1, 10**6))
+    steps: int = option(400, "training steps", whole(1, 10**6))
+    evaluation_episodes: int = option(2, "evaluation episodes per kind of motion", whole(1, 1000))
     tiny: bool = option(False, "smoke test with meaningless scores")
     open: bool = option(False, "open the report in the browser when done")
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """The kinds of motion that are evaluated."""
+        return KINDS[:TINY_KINDS] if self.tiny else KINDS
 
 
 def run(options: Options) -> int:
@@ -93,21 +86,25 @@ def run(options: Options) -> int:
             f"./envs/lerobot_env_dynahoi "
             "./policies/lerobot_policy_obact, in a checkout"
         )
-    out = options.out.resolve()
-    check_root(out)
-    size = Size(options.episodes, options.steps, options.evaluation_episodes)
-    if options.tiny:
-        size = TINY
+    options = replace(options, out=options.out.resolve(), **TINY if options.tiny else {})
+    check_root(options.out)
+    task = {
+        "episodes": options.episodes,
+        "steps": options.steps,
+        "per_kind": options.evaluation_episodes,
+        "kinds": len(options.kinds),
+    }
     start = time.monotonic()
-    with working_folder(out, {"quickstart": asdict(size)}):
-        _run_stages(out, size)
-    _conclude(out, start, show=options.open)
+    with working_folder(options.out, {"quickstart": task}):
+        _run_stages(options)
+    _conclude(options.out, start, show=options.open)
     return 0
 
 
-def _run_stages(out: Path, size: Size) -> None:
+def _run_stages(options: Options) -> None:
     """Run the stages whose products do not exist, with the baselines beside the later ones."""
-    stages: list[tuple[str, Path, Callable[[Path, Size], None]]] = [
+    out = options.out
+    stages: list[tuple[str, Path, Callable[[Options], None]]] = [
         ("generate a dataset", out / "dataset", _generate),
         ("encode its images", out / "encoded", _encode),
         ("train ObAct on it with lerobot-train", _checkpoint(out) / WEIGHTS, _train),
@@ -118,26 +115,28 @@ def _run_stages(out: Path, size: Size) -> None:
         for number, (title, product, stage) in enumerate(stages, 1):
             begin = time.monotonic()
             if number > 1 and baselines is None and not (out / TABLE).exists():
-                baselines = beside.submit(_baselines, out, size)
+                baselines = beside.submit(_baselines, options)
             if product.exists():
                 took = "already done"
             else:
-                stage(out, size)
+                stage(options)
                 took = f"{time.monotonic() - begin:.0f} s"
             print(f"[{number}/{len(stages)}] {title}: {took}", flush=True)
         if baselines is not None:
             baselines.result()
 
 
-def _generate(out: Path, size: Size) -> None:
-    words = ["--episodes", size.episodes, "--image-size", IMAGE_SIZE, "--workers", cores()]
+def _generate(options: Options) -> None:
+    out = options.out
+    words = ["--episodes", options.episodes, "--image-size", IMAGE_SIZE, "--workers", cores()]
     with (out / "generate.json").open("w", encoding="utf-8") as summary, redirect_stdout(summary):
         code = cli.main(["generate", "--root", str(out / "dataset"), *map(str, words)])
     if code:
         raise CommandError("dynahoi generate failed; see the message above")
 
 
-def _encode(out: Path, size: Size) -> None:
+def _encode(options: Options) -> None:
+    out = options.out
     _dynahoi(out / "encode.log", "encode", out / "dataset", out / "encoded")
 
 
@@ -145,22 +144,23 @@ def _checkpoint(out: Path) -> Path:
     return out / "training" / "pretrained_model"
 
 
-def _train(out: Path, size: Size) -> None:
+def _train(options: Options) -> None:
     """Train; keep only the last checkpoint."""
+    out = options.out
     partial = _emptied(out / "training.partial")
     checkpoints = partial / "run" / "checkpoints"
-    every = max(1, size.steps // SAVES)
+    every = max(1, options.steps // SAVES)
     arguments = [
         f"--config_path={TRAINING}",
         f"--dataset.root={out / 'encoded'}",
         f"--output_dir={checkpoints.parent}",
         f"--policy.device={_device()}",
-        f"--steps={size.steps}",
+        f"--steps={options.steps}",
         f"--save_freq={every}",
         f"--log_freq={every}",
     ]
     looks = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
-    with progress_bar(total=size.steps, desc="training", bar_format=looks) as bar:
+    with progress_bar(total=options.steps, desc="training", bar_format=looks) as bar:
         run_lerobot("train", arguments, out, lambda: _steps(checkpoints), bar)
     checkpoint = _checkpoint(out)
     checkpoint.parent.mkdir(exist_ok=True)
@@ -173,10 +173,11 @@ def _steps(checkpoints: Path) -> int:
     return max((int(folder.name) for folder in checkpoints.glob("[0-9]*")), default=0)
 
 
-def _evaluate(out: Path, size: Size) -> None:
+def _evaluate(options: Options) -> None:
     """Evaluate; keep the results only once every kind of motion has been played."""
-    kinds = KINDS[: size.kinds]
-    episodes = len(kinds) * size.per_kind
+    out = options.out
+    per_kind = options.evaluation_episodes
+    episodes = len(options.kinds) * per_kind
     results = out / "results" / POLICY
     partial = _emptied(out / "results" / f"{POLICY}.partial")
     made = partial / POLICY
@@ -184,12 +185,12 @@ def _evaluate(out: Path, size: Size) -> None:
         f"--policy.path={_checkpoint(out)}",
         f"--policy.device={_device()}",
         "--env.type=dynahoi",
-        f"--env.task={','.join(kinds)}",
+        f"--env.task={','.join(options.kinds)}",
         f"--env.split={SMALL_TEST}",
         f"--env.image_size={IMAGE_SIZE}",
         f"--env.results_dir={made}",
-        f"--eval.n_episodes={size.per_kind}",
-        f"--eval.batch_size={size.per_kind}",
+        f"--eval.n_episodes={per_kind}",
+        f"--eval.batch_size={per_kind}",
         "--seed=0",
         f"--output_dir={out / 'lerobot_eval'}",
     ]
@@ -279,12 +280,14 @@ def _device() -> str:
     return "cuda" if torch.cuda.is_available() else "cpu"
 
 
-def _baselines(out: Path, size: Size) -> None:
+def _baselines(options: Options) -> None:
     """Evaluate the privileged baselines on the same episodes."""
-    options = ["--episodes", size.kinds * size.per_kind, "--image-size", 0]
+    episodes = len(options.kinds) * options.evaluation_episodes
+    words = ["--episodes", episodes, "--image-size", 0]
     for name in BASELINES:
-        folder = out / "results" / name
-        _dynahoi(out / f"{name}.log", "evaluate", "--policy", name, "--out", folder, *options)
+        log = options.out / f"{name}.log"
+        folder = options.out / "results" / name
+        _dynahoi(log, "evaluate", "--policy", name, "--out", folder, *words)
 
 
 def _conclude(out: Path, start: float, *, show: bool) -> None:

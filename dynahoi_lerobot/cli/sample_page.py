@@ -18,7 +18,7 @@ from PIL import Image
 from dynahoi_lerobot.core.control_mode import CONTROL_MODES, GRASP
 from dynahoi_lerobot.core.conventions import PALM_DOF
 from dynahoi_lerobot.core.escaping import data_url
-from dynahoi_lerobot.core.files import write_atomically
+from dynahoi_lerobot.core.files import write_text_atomically
 from dynahoi_lerobot.core.protocols import is_acting
 from dynahoi_lerobot.dataset.columns import column_array
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
@@ -47,7 +47,7 @@ def write_sample(out: Path, store: Store, key: str, per_kind: int) -> int:
         title=f"{len(chosen)} of the {store.episodes} episodes of {store.root}",
         has_target=any("target" in episode for episode in episodes),
     )
-    write_atomically({out: lambda draft: draft.write_text(text, encoding="utf-8")})
+    write_text_atomically(out, text)
     return len(chosen)
 
 
@@ -67,7 +67,8 @@ def stratified(kinds: list[str], per_kind: int) -> list[int]:
 
 def read_episode(store: Store, index: int, key: str) -> tuple[EpisodeRow, pa.Table, np.ndarray]:
     """Return an episode's row, its T frames, and its (T, H, W, 3) uint8 images ``key``."""
-    table = store.frames(row := store.row(index))
+    row = store.row(index)
+    table = store.frames(row)
     return row, table, store.images(row, table, key)
 
 

@@ -119,11 +119,7 @@ def run(options: Options) -> int:
     if options.sample is not None:
         return _sample(options.sample, options)
     sources = {"motion": _played, "dataset": _from_dataset, "results": _replayed}
-    chosen = [
-        (make, source)
-        for name, make in sources.items()
-        if (source := getattr(options, name)) is not None
-    ]
+    chosen = [name for name in sources if getattr(options, name) is not None]
     if options.thoughts and (
         options.motion is None or options.policy in (EXPERT_ALIAS, *EXPERTS.names())
     ):
@@ -135,8 +131,8 @@ def run(options: Options) -> int:
         raise ValueError(
             "choose one of --motion MOTION, --dataset DIR --episode I, --results DIR --seed S"
         )
-    ((make_clip, source),) = chosen
-    clip = make_clip(source, options)
+    (name,) = chosen
+    clip = sources[name](getattr(options, name), options)
     write_clip(options.out, clip)
     print(f"{options.out}: {clip.caption}")
     return 0
@@ -183,7 +179,7 @@ def _played(motion: str, options: Options) -> Clip:
         "motion", motion
     ):  # not part of the benchmark, so no split lists it
         given["motions"] = (motion,)
-    recipe = changed(Recipe(split=options.split), playing_rules(given, actor))
+    recipe = Recipe.of(split=options.split, **playing_rules(given, actor))
     known = kind_seeds(recipe, motion)
     if options.seed >= len(known):
         raise ValueError(

@@ -14,7 +14,8 @@ CACHES = {
     "HF_DATASETS_CACHE": "huggingface/datasets",
 }
 """Folders below the user's caches that libraries must write to, by the variable that moves each."""
-READ, READ_IN = "HF_HOME", "huggingface"
+READ = "HF_HOME"
+READ_IN = "huggingface"
 """Likewise, a folder that is of use also where it can only be read."""
 
 

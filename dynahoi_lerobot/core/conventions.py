@@ -75,7 +75,8 @@ HAND_NAMES = (*PALM_AXES, *JOINT_NAMES)
 FURNITURE_STREAM = 0xF0A1
 SCREEN_STREAM = 0x5C4EE7
 APPEARANCE_STREAM = 0xA99EA
-DISTURBANCE_STREAM, RENDER_NOISE_STREAM = 0xD157, 0x0153
+DISTURBANCE_STREAM = 0xD157
+RENDER_NOISE_STREAM = 0x0153
 """What begins the seeds of random numbers that an episode itself is not sampled from: it keeps them
 all apart."""
 
@@ -95,5 +96,6 @@ GANTRY_RANGE_M = ((-2.0, 2.0), (-2.0, 2.0), (0.02, 2.5))
 GANTRY_SPEED_M_S = 2.0
 """Greatest speed of each slide that carries the palm where hand and target collide [m/s]."""
 
-TORSIONAL_FRICTION_M, ROLLING_FRICTION_M = 0.002, 0.0002
+TORSIONAL_FRICTION_M = 0.002
+ROLLING_FRICTION_M = 0.0002
 """Torsional and rolling friction of contacts: greatest torque over normal force [m]."""

@@ -58,9 +58,8 @@ class Feature:
             asks for it.
         privileged: whether no policy may read it, only metrics and teachers: the dataset then
             stores it in the privileged tables, which LeRobot does not read.
-        constant: whether it has one value per episode.
-        per: what its rows are if it is not constant: ``frame``, or something whose number differs
-            between episodes, as ``attempt``, ``primitive`` or ``path frame``.
+        per: what it has a row for: ``frame``, ``episode``, or something of which episodes have
+            different numbers, as ``attempt``, ``primitive`` or ``path frame``.
         derived: whether it follows from other attributes: a property of ``Episode``, which is
             stored but not read.
     """
@@ -78,7 +77,6 @@ class Feature:
     needs_contact_sensors: bool = False
     on_request: bool = False
     privileged: bool = False
-    constant: bool = False
     per: str = "frame"
     derived: bool = False
 
@@ -111,9 +109,9 @@ class Feature:
         return self.is_image and self.key.endswith((DEPTH, SEGMENTATION))
 
     @property
-    def by_frame(self) -> bool:
-        """Whether its rows are the frames of an episode."""
-        return self.per == "frame" and not self.constant
+    def is_ragged(self) -> bool:
+        """Whether its number of rows is neither that of the frames nor one per episode."""
+        return self.per not in ("frame", "episode")
 
 
 FINGERTIP_NAMES = tuple(
@@ -298,7 +296,7 @@ _TABLE = (
         POSITION_NAMES,
         "m",
         "oracle intercept, home frame",
-        constant=True,
+        per="episode",
         privileged=True,
     ),
     Feature(
@@ -308,7 +306,7 @@ _TABLE = (
         ("time",),
         "s",
         "time of the oracle intercept from the start of the episode",
-        constant=True,
+        per="episode",
         privileged=True,
     ),
     Feature(
@@ -386,7 +384,7 @@ _TABLE = (
         POSITION_NAMES,
         "m",
         "origin of the home frame, world; the floor is at z = 0",
-        constant=True,
+        per="episode",
         privileged=True,
     ),
     Feature(
@@ -396,7 +394,7 @@ _TABLE = (
         JOINT_NAMES,
         "rad",
         "joint angles of the open hand",
-        constant=True,
+        per="episode",
         privileged=True,
     ),
     Feature(
@@ -406,7 +404,7 @@ _TABLE = (
         JOINT_NAMES,
         "rad",
         "joint angles of the object's reference grasp",
-        constant=True,
+        per="episode",
         privileged=True,
     ),
     Feature(
@@ -428,7 +426,7 @@ _TABLE = (
         POSITION_NAMES,
         "m",
         "extent of the object along its own axes",
-        constant=True,
+        per="episode",
         privileged=True,
     ),
     Feature(
@@ -439,7 +437,7 @@ _TABLE = (
         "kg",
         "mass of the object",
         privileged=True,
-        constant=True,
+        per="episode",
     ),
     Feature(
         "object_inertia",
@@ -448,7 +446,7 @@ _TABLE = (
         POSITION_NAMES,
         "kg m^2",
         "moments of inertia of the object about its own axes",
-        constant=True,
+        per="episode",
         privileged=True,
     ),
     Feature(
@@ -459,7 +457,7 @@ _TABLE = (
         "1",
         "sliding friction coefficients of the object against the hand and against the roughest "
         "surface it meets",
-        constant=True,
+        per="episode",
         privileged=True,
     ),
     Feature(
@@ -469,7 +467,7 @@ _TABLE = (
         ("restitution",),
         "1",
         "ratio of rebound to impact speed in its motion; 0 without impacts",
-        constant=True,
+        per="episode",
         privileged=True,
     ),
     Feature(
@@ -479,7 +477,7 @@ _TABLE = (
         POSE_NAMES,
         "m, 1",
         "pose of the hand's camera relative to the palm center; it looks along -z, y is up",
-        constant=True,
+        per="episode",
         privileged=True,
     ),
     Feature(
@@ -489,7 +487,7 @@ _TABLE = (
         POSE_NAMES,
         "m, 1",
         "pose of the side camera, home frame, same convention",
-        constant=True,
+        per="episode",
         privileged=True,
     ),
     Feature(
@@ -499,7 +497,7 @@ _TABLE = (
         INTRINSICS_NAMES,
         "px",
         "focal lengths and principal point of the hand's camera",
-        constant=True,
+        per="episode",
         privileged=True,
     ),
     Feature(
@@ -509,7 +507,7 @@ _TABLE = (
         INTRINSICS_NAMES,
         "px",
         "focal lengths and principal point of the side camera",
-        constant=True,
+        per="episode",
         privileged=True,
     ),
     Feature(
@@ -519,7 +517,7 @@ _TABLE = (
         ("palm_speed", "joint_speed", "latency"),
         "m/s, rad/s, ms",
         "maximum speed of the palm (under contact, per axis) and of a joint; command latency",
-        constant=True,
+        per="episode",
         privileged=True,
     ),
     Feature(
@@ -531,7 +529,7 @@ _TABLE = (
         "the expert's plan at control start: mean palm speed to the meeting with the target, and "
         "time to it; 0 for "
         "actors without a plan",
-        constant=True,
+        per="episode",
         privileged=True,
     ),
     Feature(
@@ -576,9 +574,8 @@ def action_feature(control_mode: str) -> Feature:
         return feature
     meaning = (
         "displacement from the palm's current position to the goal of control mode joints, "
-        "along the axes of the "
+        "along the axes of the home frame; closure of the hand, 0 (open) to 1"
     )
-    meaning += "home frame; closure of the hand, 0 (open) to 1"
     names = CONTROL_MODES[control_mode]
     return replace(feature, shape=(len(names),), names=names, unit="m, 1", meaning=meaning)
 

@@ -40,6 +40,11 @@ def write_atomically(writers: Mapping[Path, Callable[[Path], object]]) -> None:
             draft.unlink(missing_ok=True)
 
 
+def write_text_atomically(path: Path, text: str) -> None:
+    """Write a text file, in UTF-8, whole or not at all; folders are made."""
+    write_atomically({path: lambda draft: draft.write_text(text, encoding="utf-8")})
+
+
 @contextmanager
 def _held(folder: Path) -> Iterator[None]:
     """Hold a folder until its process ends; OSError if another one does."""
@@ -68,7 +73,8 @@ def new_folder(target: Path) -> Iterator[Path]:
         ) as scratch,
         _held(Path(scratch)),
     ):
-        yield (folder := Path(scratch) / target.name)
+        folder = Path(scratch) / target.name
+        yield folder
         try:
             folder.rename(target)
         except OSError:

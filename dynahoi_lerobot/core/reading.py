@@ -320,9 +320,7 @@ def read_table(path: Path, columns: Collection[str] | None = None, filters: Any 
 
     with reading(path), open_table(path) as file:
         names = file.schema_arrow.names if columns is None else list(columns)
-        missing = sorted(set(names) - set(file.schema_arrow.names))
-        if missing:
-            raise ValueError(f"it has no column {missing[0]!r}")
+        _require_columns(file, names)
         if filters is not None:
             return pq.read_table(regular(path), columns=names, filters=filters, partitioning="")
         # read_table would take more than twice the memory where there are many row groups
@@ -336,12 +334,16 @@ def read_rows(path: Path, schema: pa.Schema) -> Iterator[dict[str, Any]]:
     import pyarrow as pa
 
     with reading(path), open_table(path) as file:
-        missing = sorted(set(schema.names) - set(file.schema_arrow.names))
-        if missing:
-            raise ValueError(f"it has no column {missing[0]!r}")
+        _require_columns(file, schema.names)
         for batch in file.iter_batches(ROWS_AT_ONCE, columns=schema.names):
             columns = [_column(batch, field) for field in schema]
             yield from pa.RecordBatch.from_arrays(columns, schema=schema).to_pylist()
+
+
+def _require_columns(file: pq.ParquetFile, names: Collection[str]) -> None:
+    missing = sorted(set(names) - set(file.schema_arrow.names))
+    if missing:
+        raise ValueError(f"it has no column {missing[0]!r}")
 
 
 def _column(batch: pa.RecordBatch, field: pa.Field) -> pa.Array:

@@ -9,10 +9,11 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from dynahoi_lerobot.core.files import write_atomically
+from dynahoi_lerobot.core.files import write_text_atomically
 from dynahoi_lerobot.core.reading import ReadError, read_object
 
-LOCK, TASK = "lock", "plan.json"
+LOCK = "lock"
+TASK = "plan.json"
 """Files of a working folder besides the work: its process's lock and its task."""
 
 
@@ -117,8 +118,7 @@ def _claim(path: Path, task: dict[str, Any]) -> None:
     if (path / TASK).exists():
         _refuse_other(path, task)
     else:
-        text = json.dumps(task, indent=4)
-        write_atomically({path / TASK: lambda draft: draft.write_text(text)})
+        write_text_atomically(path / TASK, json.dumps(task, indent=4))
     for draft in path.glob(".*.part"):
         draft.unlink()
 

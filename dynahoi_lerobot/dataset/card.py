@@ -89,7 +89,7 @@ def write_card(store: Store, manifest: Manifest) -> None:
             by_frame: [
                 _cells(f.key, f.dtype, _privileged_shape(f), f.unit, f.meaning)
                 for f in store.privileged.features
-                if f.by_frame == by_frame
+                if (f.per == "frame") == by_frame
             ]
             for by_frame in (True, False)
         },
@@ -116,9 +116,7 @@ def _counts(store: Store, column: str) -> dict[str, tuple[int, int]]:
 
 
 def _privileged_shape(feature: Feature) -> Sequence[object]:
-    if feature.constant or feature.by_frame:
-        return feature.column_shape
-    return ("n", *feature.shape)
+    return ("n", *feature.shape) if feature.is_ragged else feature.column_shape
 
 
 def _names(entry: dict[str, Any]) -> str:

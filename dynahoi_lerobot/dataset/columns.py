@@ -231,6 +231,11 @@ def numeric_columns(files: Sequence[Path], keys: Sequence[str]) -> list[np.ndarr
     return [np.concatenate([column_array(table, key) for table in tables]) for key in keys]
 
 
+def rows_of_episode(path: Path, index: int) -> pa.Table:
+    """Return those rows of a file of a table that are of an episode; ReadError if it is damaged."""
+    return read_table(path, filters=[("episode_index", "=", index)])
+
+
 def is_list(kind: pa.DataType) -> bool:
     """Tell whether an arrow type is of lists."""
     return (
@@ -260,8 +265,10 @@ def subtask_rows(acting: np.ndarray, localized: np.ndarray) -> list[dict[str, An
             "content": SUBTASKS[int(state[frame])],
             "style": "subtask",
             "timestamp": time_s,
+            "camera": None,
+            "tool_calls": None,
         }
-        rows.append(row | {"camera": None, "tool_calls": None})
+        rows.append(row)
     return rows
 
 

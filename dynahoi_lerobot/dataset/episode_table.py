@@ -27,6 +27,9 @@ EpisodeRow = dict[str, Any]
 STATS_PREFIX = "stats/"
 """Statistics: LeRobot reads an episode's whole row for every sample, but for this prefix."""
 
+FRAME_RANGE = ("dataset_from_index", "dataset_to_index")
+"""LeRobot's columns of the first frame of an episode in the dataset, and of the one after it."""
+
 FACTS = {
     field.name: pa.string() if field.type is str else pa.int64() for field in fields(EpisodeMeta)
 }
@@ -87,15 +90,15 @@ def row_schema(features: Features) -> pa.Schema:
     images = image_keys(features)
     videos = [key for key in images if features[key]["dtype"] == "video"]
     types: dict[str, pa.DataType] = {"episode_index": pa.int64(), "tasks": pa.list_(pa.string())}
-    types |= {"length": pa.int64(), "data/chunk_index": pa.int64(), "data/file_index": pa.int64()}
-    types |= {"dataset_from_index": pa.int64(), "dataset_to_index": pa.int64()}
+    numbers = ("length", "data/chunk_index", "data/file_index", *FRAME_RANGE)
+    types |= dict.fromkeys(numbers, pa.int64())
     types |= video_columns(videos, dict.fromkeys(("chunk_index", "file_index"), pa.int64()))
     types |= video_columns(videos, dict.fromkeys(("from_timestamp", "to_timestamp"), pa.float64()))
     types |= FACTS
     for key in [*images, *numeric_keys(features)]:
         types |= {f"stats/{key}/{name}": _stat_type(key in images, name) for name in NAMES}
-    types |= {"meta/episodes/chunk_index": pa.int64(), "meta/episodes/file_index": pa.int64()}
-    return pa.schema(list(types.items()))
+    types |= dict.fromkeys(("meta/episodes/chunk_index", "meta/episodes/file_index"), pa.int64())
+    return pa.schema(types)
 
 
 def _stat_type(image: bool, name: str) -> pa.DataType:
@@ -107,13 +110,6 @@ def _stat_type(image: bool, name: str) -> pa.DataType:
 
 def without_place(row: EpisodeRow) -> EpisodeRow:
     """Return the row without what ``place_row`` adds, ready to be placed in another dataset."""
-    dropped = (
-        "episode_index",
-        "dataset_from_index",
-        "dataset_to_index",
-        "meta/",
-        "data/",
-        "videos/",
-    )
+    dropped = ("episode_index", *FRAME_RANGE, "meta/", "data/", "videos/")
     stats = tuple(f"stats/{key}/" for key in BOOKKEEPING)
     return {name: value for name, value in row.items() if not name.startswith((*dropped, *stats))}

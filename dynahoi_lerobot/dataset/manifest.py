@@ -123,16 +123,9 @@ def changed_files(root: Path, manifest: Manifest) -> list[str]:
 
     The card may differ: people edit theirs, and LeRobot's ``push_to_hub`` writes its own.
     """
-    there = [
-        (root / name, digest)
-        for name, digest in manifest.files.items()
-        if _is_inside(name) and name != CARD_PATH
-    ]
-    return [
-        path.relative_to(root).as_posix()
-        for path, digest in there
-        if os.path.isfile(path) and sha256(path) != digest
-    ]
+    own = [name for name in manifest.files if _is_inside(name) and name != CARD_PATH]
+    there = [name for name in own if os.path.isfile(root / name)]
+    return [name for name in there if sha256(root / name) != manifest.files[name]]
 
 
 def has_own_card(root: Path, manifest: Manifest) -> bool:

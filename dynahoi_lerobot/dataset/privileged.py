@@ -21,7 +21,13 @@ import pyarrow as pa
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import Feature, privileged_features
 from dynahoi_lerobot.core.reading import ReadError, open_table, read_table
-from dynahoi_lerobot.dataset.columns import SCALARS, column_array, flat_array, numeric_columns
+from dynahoi_lerobot.dataset.columns import (
+    SCALARS,
+    column_array,
+    flat_array,
+    numeric_columns,
+    rows_of_episode,
+)
 
 FRAME_KEYS = ("episode_index", "frame_index")
 EPISODE_KEYS = ("episode_index",)
@@ -33,13 +39,13 @@ DROPPED = "LeRobot's tools do not keep them; take the dataset from before, or `d
 
 def schemas(features: Iterable[Feature]) -> tuple[pa.Schema, pa.Schema]:
     """Return the schemas of both tables: of ``features``, the privileged ones count."""
-    kinds = {f.key: (_row_type(f), f.by_frame) for f in features if f.privileged}
-    frames = {key: kind for key, (kind, by_frame) in kinds.items() if by_frame}
-    episodes = {key: kind for key, (kind, by_frame) in kinds.items() if not by_frame}
-    return (
-        pa.schema(dict.fromkeys(FRAME_KEYS, pa.int64()) | frames),
-        pa.schema(dict.fromkeys(EPISODE_KEYS, pa.int64()) | episodes),
-    )
+    frames: dict[str, pa.DataType] = dict.fromkeys(FRAME_KEYS, pa.int64())
+    episodes: dict[str, pa.DataType] = dict.fromkeys(EPISODE_KEYS, pa.int64())
+    for feature in features:
+        if feature.privileged:
+            columns = frames if feature.per == "frame" else episodes
+            columns[feature.key] = _row_type(feature)
+    return pa.schema(frames), pa.schema(episodes)
 
 
 def _row_type(feature: Feature) -> pa.DataType:
@@ -47,7 +53,7 @@ def _row_type(feature: Feature) -> pa.DataType:
     kind: pa.DataType = SCALARS[feature.dtype]
     for size in reversed(feature.shape):
         kind = pa.list_(kind, size)
-    return kind if feature.constant or feature.by_frame else pa.list_(kind)
+    return pa.list_(kind) if feature.is_ragged else kind
 
 
 @dataclass(frozen=True)
@@ -104,7 +110,9 @@ class Privileged:
             ValueError: if a cell has another shape or type than its feature.
         """
         stored = (feature for feature in privileged_features() if not feature.derived)
-        return {f.name: (self._by_frame if f.by_frame else self._of_episode)(f) for f in stored}
+        return {
+            f.name: (self._by_frame if f.per == "frame" else self._of_episode)(f) for f in stored
+        }
 
     def _by_frame(self, feature: Feature) -> np.ndarray:
         values = column_array(self.frames, feature.key)  # (T, D)
@@ -114,18 +122,18 @@ class Privileged:
         array = cell_array(self.episode[feature.key][0].as_py(), feature)
         if feature.shape:
             return array
-        return array.item() if feature.constant else array[:, 0]
+        return array[:, 0] if feature.is_ragged else array.item()
 
 
 def cell_array(cell: Any, feature: Feature) -> np.ndarray:
-    """Return a cell of ``meta/privileged_episodes`` as (D,), or (rows, D) where it is not constant.
+    """Return a cell of ``meta/privileged_episodes`` as (D,), or (rows, D) where it is ragged.
 
     Raises:
         ValueError: if it is null or of another shape.
     """
     if cell is None:
         raise ValueError(f"its column {feature.key} has a row without a value")
-    shape = feature.column_shape if feature.constant else (-1, *feature.column_shape)
+    shape = (-1, *feature.column_shape) if feature.is_ragged else feature.column_shape
     return np.array(cell, feature.dtype).reshape(shape)
 
 
@@ -226,9 +234,7 @@ class PrivilegedTables:
         """Return the rows of one episode; ReadError as ``problem`` says."""
         self._check()
         frames, row = (
-            pa.concat_tables(
-                read_table(path, filters=[("episode_index", "=", index)]) for path in files
-            )
+            pa.concat_tables(rows_of_episode(path, index) for path in files)
             for files in self.files()
         )
         return Privileged(frames, row)

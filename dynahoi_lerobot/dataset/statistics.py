@@ -27,7 +27,8 @@ pixels."""
 
 
 def column_stats(values: np.ndarray) -> Stats:
-    """Return the statistics of a (T, D) array along time, each (D,) float64."""
+    """Return the statistics of a (T, D) array of numbers or bool along time, each (D,) float64."""
+    values = values.astype(np.float32) if values.dtype == bool else values
     quantiles = np.quantile(values, list(SHARES.values()), axis=0, method="inverted_cdf")  # (5, D)
     return {
         "min": values.min(axis=0).astype(float),

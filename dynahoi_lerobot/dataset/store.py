@@ -32,6 +32,7 @@ from dynahoi_lerobot.dataset.columns import (
     numeric_columns,
     numeric_keys,
     read_png,
+    rows_of_episode,
     video_keys,
 )
 from dynahoi_lerobot.dataset.episode_table import (
@@ -135,9 +136,9 @@ def frame_column(root: Path, key: str) -> np.ndarray:
     if key in numeric_keys(store.features):
         return store.frame_columns([key])[key]
     feature = store.privileged.feature(key)
-    if feature.per != "frame":
+    if feature.is_ragged:
         raise ValueError(f"{root} has no column {key!r} with a row per frame")
-    if feature.by_frame:
+    if feature.per == "frame":
         return store.privileged.rows(feature)
     return np.repeat(episode_column(root, key), store.lengths, axis=0)
 
@@ -162,7 +163,7 @@ def episode_column(root: Path, key: str) -> list[np.ndarray]:
     """
     store = Store(root)
     feature = store.privileged.feature(key)
-    if feature.by_frame:
+    if feature.per == "frame":
         return np.split(store.privileged.rows(feature), np.cumsum(store.lengths)[:-1])
     return store.privileged.cells(feature)
 
@@ -343,18 +344,6 @@ class Store:
         """The privileged tables."""
         return PrivilegedTables(self.root, lambda: self.lengths)
 
-    def table(
-        self, path: Path, columns: list[str] | None = None, episode: int | None = None
-    ) -> pa.Table:
-        """Return a file of a table, or of it some columns, or the rows of one episode.
-
-        Raises:
-            ValueError: if it is missing or damaged.
-        """
-        return read_table(
-            path, columns, None if episode is None else [("episode_index", "=", episode)]
-        )
-
     def frame_columns(self, keys: Sequence[str]) -> dict[str, np.ndarray]:
         """Return numeric columns of the frame table by key, (N, D) each, in the order of the
         frames.
@@ -388,7 +377,7 @@ class Store:
         """Return the episode's rows of the frame table; ValueError if their file is missing or
         damaged.
         """
-        return self._own(row, self.table(self.data_path(row), episode=row["episode_index"]))
+        return self._own(row, rows_of_episode(self.data_path(row), row["episode_index"]))
 
     def _own(self, row: EpisodeRow, table: pa.Table) -> pa.Table:
         """Return rows of the frame table that must be the frames of an episode, all of them and in
@@ -430,7 +419,7 @@ class Store:
         if not 0 <= index < self.episodes:
             raise IndexError(f"episode {index} does not exist; {self.root} holds {self.episodes}")
         for path in self.row_files():
-            rows = self.table(path, episode=index)
+            rows = rows_of_episode(path, index)
             if rows.num_rows:
                 return rows.to_pylist()[0]
         raise IndexError(f"{self.root} holds no row of episode {index}")
@@ -470,7 +459,7 @@ class Store:
             holder = self.data_path(row)
             if holder != path:
                 path = holder
-                table = self.table(holder)
+                table = read_table(holder)
                 used = 0
             own = self._own(row, table.slice(used, row["length"]).combine_chunks())
             yield StoredEpisode(row, own, privileged)

@@ -6,7 +6,7 @@ compare them byte by byte.
 """
 
 import errno
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from fractions import Fraction
@@ -16,7 +16,6 @@ from typing import Any, cast
 import av
 import av.logging
 import numpy as np
-from av.container import OutputContainer
 from av.error import FFmpegError
 from av.packet import Packet
 from av.video.codeccontext import VideoCodecContext
@@ -151,9 +150,11 @@ class VideoFile:
     written.
     """
 
-    def __init__(self, path: Path, add_stream: Callable[[OutputContainer], VideoStream]) -> None:
-        """Open ``path``; ``add_stream`` gives the file its stream, see ``encoded_stream`` and
-        ``copied_stream``.
+    def __init__(
+        self, path: Path, encoding: Encoding, image_size: int, copied_from: Path | None = None
+    ) -> None:
+        """Open ``path`` for packets that ``encode`` returns of images of this size [px], or for
+        those of the video ``copied_from``.
         """
         self.path = path
         self.frames = 0
@@ -161,8 +162,17 @@ class VideoFile:
         self._container = av.open(
             str(path), "w", options={"fflags": "+bitexact", "write_btrt": "0"}
         )
-        self._stream = add_stream(self._container)
-        self._stream.time_base = FRAME
+        if copied_from is None:
+            stream = cast(
+                VideoStream, self._container.add_stream(CODECS[encoding.codec], CONTROL_HZ)
+            )
+            encoding.configure(stream.codec_context, image_size)
+        else:
+            with av.open(str(regular(copied_from)), format="mp4") as source:
+                template = source.streams.video[0]
+                stream = self._container.add_stream_from_template(template, opaque=True)
+        stream.time_base = FRAME
+        self._stream = stream
 
     def append(self, packets: Iterable[Packet]) -> None:
         """Append the packets of one episode."""
@@ -202,20 +212,6 @@ class VideoFile:
             yield
         except FFmpegError as error:
             raise OSError(error.errno, error.strerror, str(self.path)) from None
-
-
-def encoded_stream(container: OutputContainer, encoding: Encoding, image_size: int) -> VideoStream:
-    """Give a file a stream of packets that ``encode`` returns."""
-    stream = cast(VideoStream, container.add_stream(CODECS[encoding.codec], CONTROL_HZ))
-    encoding.configure(stream.codec_context, image_size)
-    return stream
-
-
-def copied_stream(container: OutputContainer, path: Path) -> VideoStream:
-    """Give a file the same stream as the video ``path`` has."""
-    with av.open(str(regular(path)), format="mp4") as source:
-        stream = container.add_stream_from_template(source.streams.video[0], opaque=True)
-    return cast(VideoStream, stream)
 
 
 def stored_packets(path: Path) -> Iterator[Packet]:

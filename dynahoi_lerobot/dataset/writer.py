@@ -5,14 +5,12 @@ The same episodes give the same bytes, in whatever pieces they were made.
 """
 
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import batched, chain
 from pathlib import Path
 from typing import Any, Self
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from av.packet import Packet
@@ -32,7 +30,7 @@ from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.dataset.privileged import Privileged, schemas
 from dynahoi_lerobot.dataset.statistics import Stats, column_stats, image_stats, pooled, table_stats
 from dynahoi_lerobot.dataset.store import Store, StoredEpisode
-from dynahoi_lerobot.dataset.video import Encoding, VideoFile, copied_stream, encode, encoded_stream
+from dynahoi_lerobot.dataset.video import Encoding, VideoFile, encode
 
 FLUSH_ROWS = 256
 MIB = 2**20
@@ -193,16 +191,9 @@ class DatasetWriter:
         }
         stats = table_stats(arrays) | {key: image_stats(images[key]) for key in self._image_keys}
         row |= episode_table.stats_columns(stats)
+        columns = frame_table.frame_columns(episode, arrays, self._schema)
         packets = {key: encode(images[key], self._encoding) for key in self._video_keys}
-        size = max((frames.shape[1] for frames in images.values()), default=0)
-        stream = partial(encoded_stream, encoding=self._encoding, image_size=size)
-        self._append(
-            row,
-            frame_table.frame_columns(episode, arrays, self._schema),
-            Privileged.of(episode, self._columns),
-            packets,
-            lambda _: stream,
-        )
+        self._append(row, columns, Privileged.of(episode, self._columns), packets)
 
     def copy(self, store: Store, stored: StoredEpisode, packets: dict[str, list[Packet]]) -> None:
         """Append one episode that another dataset of the same features holds, without decoding or
@@ -220,13 +211,8 @@ class DatasetWriter:
         for key in frame_table.numeric_keys(self.features):
             frame_table.column_array(table, key)
         stored.privileged.values()
-        self._append(
-            own,
-            columns,
-            stored.privileged,
-            packets,
-            lambda key: partial(copied_stream, path=store.video_path(stored.row, key)),
-        )
+        videos = {key: store.video_path(stored.row, key) for key in packets}
+        self._append(own, columns, stored.privileged, packets, copied_from=videos)
 
     def finish(
         self, provenance: dict[str, Any] | None = None, yields: dict[str, int] | None = None
@@ -276,10 +262,10 @@ class DatasetWriter:
         columns: dict[str, pa.Array],
         privileged: Privileged,
         packets: dict[str, list[Packet]],
-        stream: Callable[[str], Any],
+        copied_from: Mapping[str, Path] = {},
     ) -> None:
-        """Append an episode: its row, columns and privileged rows without place, its packets, and
-        what opens a video for a view.
+        """Append an episode: its row, columns and privileged rows without place, and its packets,
+        with the videos that they were copied from.
         """
         place = (
             self.episodes,
@@ -299,7 +285,7 @@ class DatasetWriter:
             "data/file_index": file,
         }
         if packets:
-            row |= self._append_videos(row["length"], packets, stream)
+            row |= self._append_videos(row["length"], packets, copied_from)
         for key in self._image_keys:
             self._image_stats[key].append(episode_table.row_stats(row, key))
         self._pending.append((row, privileged.placed(self.episodes)))
@@ -309,7 +295,7 @@ class DatasetWriter:
             self._flush()
 
     def _append_videos(
-        self, length: int, packets: dict[str, list[Packet]], stream: Callable[[str], Any]
+        self, length: int, packets: dict[str, list[Packet]], copied_from: Mapping[str, Path]
     ) -> EpisodeRow:
         """Append packets to the video of each view; return the columns that say where they are."""
         if not all(self._fits(video, packets[key]) for key, video in self._videos.items()):
@@ -317,7 +303,8 @@ class DatasetWriter:
         if not self._videos:
             for key in packets:
                 path = self.limits.path(self.root, paths.VIDEO_PATH, self._n_videos, video_key=key)
-                self._videos[key] = VideoFile(path, stream(key))
+                size = self.features[key]["shape"][0]
+                self._videos[key] = VideoFile(path, self._encoding, size, copied_from.get(key))
             self._n_videos += 1
         start = self._videos[next(iter(packets))].frames
         for key, video in self._videos.items():
@@ -376,8 +363,7 @@ class DatasetWriter:
         at_once = max(1, VALUES_AT_ONCE // self.frames)
         for keys in batched(frame_table.numeric_keys(self.features), at_once):
             for key, values in store.frame_columns(keys).items():
-                numbers = values.astype(np.float32) if values.dtype == bool else values
-                stats[key] = column_stats(numbers)
+                stats[key] = column_stats(values)
         return stats
 
     def _info(self) -> dict[str, Any]:

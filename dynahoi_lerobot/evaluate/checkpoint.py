@@ -332,8 +332,8 @@ def trained_for(folder: Path, names: Mapping[str, str] | None = None) -> dict[st
         names: the rename map; by default the checkpoint's own, see ``renamed``.
     """
     names = renamed(folder) if names is None else names
-    config = read_object(folder / CONFIG) if (folder / CONFIG).exists() else {}
-    training = read_object(folder / TRAINING) if (folder / TRAINING).exists() else {}
+    config = _read_if_there(folder / CONFIG)
+    training = _read_if_there(folder / TRAINING)
     with reading(folder / (TRAINING if training else CONFIG)):
         env = training.get("env") or {}
         root = (training.get("dataset") or {}).get("root")
@@ -359,6 +359,11 @@ def trained_for(folder: Path, names: Mapping[str, str] | None = None) -> dict[st
         elif values.get("environment_state") == EYE and not cameras:
             values["image_size"] = DETECTOR_IMAGE_SIZE_PX
     return values
+
+
+def _read_if_there(file: Path) -> dict[str, Any]:
+    """Return the object in a JSON file, an empty one if there is no such file."""
+    return read_object(file) if file.exists() else {}
 
 
 def hint_at_checkpoint(folder: Path) -> str:
@@ -473,7 +478,7 @@ def _pipeline_findings(file: Path) -> Iterator[str]:
         registered = str(step.get("registry_name")) in ProcessorStepRegistry.list()
         kind: Any = ProcessorStepRegistry.get(step["registry_name"]) if registered else object
         if kind.__module__.startswith(STEPS) and kind.__module__ != LOADING_STEPS:
-            yield from _step_findings(file, name, kind, config)
+            yield from _step_findings(name, kind, config)
         else:
             yield f"names the processor step {name!r}, which is not one of those known to be safe"
         if "state_file" in step:
@@ -484,7 +489,7 @@ def _pipeline_findings(file: Path) -> Iterator[str]:
                 yield f"names the state file {state!r}, which is not inside the checkpoint"
 
 
-def _step_findings(file: Path, name: object, kind: Any, config: dict[str, Any]) -> Iterator[str]:
+def _step_findings(name: object, kind: Any, config: dict[str, Any]) -> Iterator[str]:
     """Yield what of a config one of LeRobot's own steps does not have, or would run code for."""
     parameters = inspect.signature(kind).parameters
     surplus = sorted(config.keys() - parameters.keys())
@@ -607,16 +612,17 @@ def _check_statistics(file: Path, pipeline: Any) -> None:
                     raise PolicyError(
                         f"{file} normalizes {key}, and its statistics lack the {name} of that"
                     )
-                if not (_broadcasts(values, feature.shape) and np.isfinite(values).all()):
+                if not _is_finite(values, feature.shape):
                     raise PolicyError(
                         f"{file} normalizes {key} by a {name} that is not finite, or not of its "
                         f"shape"
                     )
 
 
-def _broadcasts(values: Any, shape: Sequence[int]) -> bool:
+def _is_finite(values: Any, shape: Sequence[int]) -> bool:
+    """Tell whether statistics are of a feature's shape, or of one that fits it, and finite."""
     try:
-        return np.broadcast_shapes(np.shape(values), tuple(shape)) == tuple(shape)
+        return bool(np.isfinite(np.broadcast_to(values, tuple(shape))).all())
     except ValueError:
         return False
 

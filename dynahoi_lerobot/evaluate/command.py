@@ -12,7 +12,6 @@ from dynahoi_lerobot.core.arguments import given_of, number, option, refuse_give
 from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, EYE, TRUTH
-from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.core.progress import progress_bar
 from dynahoi_lerobot.core.protocols import PROTOCOLS
 from dynahoi_lerobot.core.reading import ReadError
@@ -132,7 +131,7 @@ def run(options: Options) -> int:
         refuse_given(options, FOR_VLM, f"is for --policy {VLM}, not {options.policy}")
     inference = Inference(options.inference, options.inference_ms)
     actor = _real_time(_actor(options), inference)
-    recipe = changed(Recipe(split=options.split), playing_rules(options.given, actor))
+    recipe = Recipe.of(split=options.split, **playing_rules(options.given, actor))
     if inference.mode != SYNC and recipe.rules.control_mode != JOINTS:
         raise ValueError(
             f"--inference {inference.mode} needs control_mode {JOINTS!r}, got "
@@ -235,7 +234,7 @@ def _vlm(options: Options) -> Agent:
         raise ValueError(
             "--policy vlm needs --model NAME, and --base-url URL unless the model is OpenAI's"
         )
-    rules = changed(Recipe(split=options.split), options.given).rules
+    rules = Recipe.of(split=options.split, **options.given).rules
     if PROTOCOLS[rules.protocol].blind_control:
         raise ValueError(
             f"--policy vlm decides by what it sees while acting, which is nothing under "

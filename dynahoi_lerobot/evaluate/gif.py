@@ -27,7 +27,8 @@ STRIP = (30, 30, 34)
 INK = (235, 235, 235)
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 FONT_SCALE = 0.38
-COLORS, PALETTE_PAGES = 128, 8
+COLORS = 128
+PALETTE_PAGES = 8
 """Colors of a GIF, and how many of its pages they are chosen from."""
 EPISODE_PX = 192
 """Least width of an episode's frames."""

@@ -145,8 +145,14 @@ class PolicyAgent(Agent):
 
     @_in_a_sentence
     def observe(self, observation: Observation) -> None:
-        """Add a frame to the policy's history, if it has one."""
-        note_frame(self._policy, self._batch(observation))
+        """Add a frame to the policy's history, if it has one: ``predict_action_chunk`` looks at the
+        queues, to which only ``select_action`` adds by itself.
+        """
+        batch = self._batch(observation)
+        if hasattr(self._policy, "observe"):
+            self._policy.observe(batch)
+        else:
+            queued_frame(self._policy, batch)
 
     @_in_a_sentence
     def plan(
@@ -223,19 +229,3 @@ class PolicyAgent(Agent):
         )  # a policy's history
         self._frame += 1
         return batch
-
-
-# -- the frames that a policy remembers, when not every frame asks it for an action ----------------
-# `select_action` notes every frame and decides by itself when to predict a chunk;
-# `predict_action_chunk` predicts at once, and what it does about earlier frames differs from policy
-# to policy.
-
-
-def note_frame(policy: Any, batch: dict[str, Any]) -> None:
-    """Note a preprocessed frame of all worlds in which no chunk is asked for; a policy without
-    history ignores it.
-    """
-    if hasattr(policy, "observe"):
-        policy.observe(batch)
-    else:
-        queued_frame(policy, batch)

@@ -136,9 +136,12 @@ def _unseen_rules(results: Results) -> dict[str, tuple[Any, Any]]:
     """Return the settings of a result's policy that differ from the benchmark's, and that no replay
     can tell.
     """
-    said = {"inference": results.conditions["inference"], "privileged": results.privileged}
-    said["settings"] = results.info.extra.get("settings") or []
-    usual = {"inference": SYNC, "settings": [], "privileged": False}
+    said = {
+        "inference": results.conditions["inference"],
+        "privileged": results.privileged,
+        "settings": results.info.extra.get("settings") or [],
+    }
+    usual = {"inference": SYNC, "privileged": False, "settings": []}
     return {name: (value, usual[name]) for name, value in said.items() if value != usual[name]}
 
 
@@ -161,7 +164,8 @@ def check_results(results: Results, recipe: Recipe) -> Iterator[str]:
     foreign = sorted(set(seeds) - set(split_seeds(split)))
     if foreign:
         yield f"seed {foreign[0]} is not in split {info.split}"
-    if not results.privileged and (again := [row for row in results.rows if row["attempts"] != 1]):
+    again = [row for row in results.rows if row["attempts"] != 1]
+    if again and not results.privileged:
         yield f"seed {again[0]['seed']} took {again[0]['attempts']} attempts; a policy has one"
     recomputed = results.as_json()
     unknown = results.head["metrics"].keys() - set(METRICS.names())

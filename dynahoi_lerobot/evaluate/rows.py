@@ -30,14 +30,13 @@ episode, so it keeps its own label.
 ELSEWHERE = ("other", "other")
 """Tier and periodicity of a category outside the paper's eight."""
 
-DURATIONS, DURATION_EDGES = (
-    ("<20", "20-40", "40-60", "60-80", "80-120", ">120"),
-    (20, 40, 60, 80, 120),
-)
+DURATIONS = ("<20", "20-40", "40-60", "60-80", "80-120", ">120")
+DURATION_EDGES = (20, 40, 60, 80, 120)
 """Duration bins and their upper edges [frames] (Figure "Data statistics", c), each part of the
 lower bin."""
 
-TRAVELS, TRAVEL_EDGES = ("0-0.5", "0.5-2", "2-4", ">4"), (0.5, 2.0, 4.0)
+TRAVELS = ("0-0.5", "0.5-2", "2-4", ">4")
+TRAVEL_EDGES = (0.5, 2.0, 4.0)
 """Travel bins and their upper edges [u] (Figure "Data statistics", d), each part of the lower
 bin."""
 

@@ -53,7 +53,7 @@ def pairs(
         if unequal_conditions(a.results, b.results, across):
             continue
         for name in COMPARED:
-            found = _found(a, b, name, across)
+            found = difference(a, b, name, across)
             if found is not None:
                 yield a, b, name, found
 
@@ -80,7 +80,7 @@ def _compared(row: Entry, column: Entry, name: str, across: Collection[str]) -> 
     unequal = unequal_conditions(row.results, column.results, across)
     if unequal:
         return Cell("–", f"other {' and '.join(unequal)}")
-    result = _found(row, column, name, across)
+    result = difference(row, column, name, across)
     if row is column or result is None:
         return Cell("–")
     cell = table.metric_cell(result)
@@ -92,7 +92,8 @@ def _compared(row: Entry, column: Entry, name: str, across: Collection[str]) -> 
     return Cell(cell.text, f"{cell.detail} {p_value}, n = {result.n}", cell.key, mark)
 
 
-def _found(a: Entry, b: Entry, name: str, across: Collection[str]) -> Comparison | None:
+def difference(a: Entry, b: Entry, name: str, across: Collection[str]) -> Comparison | None:
+    """Return A - B in one metric, or ``commands``; whether versions differ was asked before."""
     return compare(a.results, b.results, name, across=across, allow_version_mismatch=True)
 
 

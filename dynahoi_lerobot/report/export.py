@@ -13,7 +13,7 @@ from typing import Any
 
 from dynahoi_lerobot import __version__
 from dynahoi_lerobot.core.escaping import latex, printable
-from dynahoi_lerobot.core.files import write_atomically
+from dynahoi_lerobot.core.files import write_atomically, write_text_atomically
 from dynahoi_lerobot.evaluate import table
 from dynahoi_lerobot.evaluate.compare import SIGNIFICANT
 from dynahoi_lerobot.evaluate.results import CONDITIONS, WEIGHTS
@@ -79,8 +79,7 @@ def write_latex(entries: Sequence[Entry], path: Path, across: Collection[str] = 
     comment = [*provenance(entries), PREAMBLE]
     parts = ["\n".join(f"% {line}" for line in comment)]
     parts += [_latex_table(data) for data in tables if data.rows]
-    text = "\n\n".join(parts) + "\n"
-    write_atomically({path: lambda draft: draft.write_text(text, encoding="utf-8")})
+    write_text_atomically(path, "\n\n".join(parts) + "\n")
 
 
 def category_tables(entries: Sequence[Entry]) -> list[Table]:

@@ -403,7 +403,8 @@ def latency(entries: Sequence[Entry]) -> Figure | None:
     Drawn from evaluations under ``--inference async`` or ``rtc`` with a declared latency; 0 where
     the world waits.
     """
-    latencies = {entry.label: ms for entry in entries if (ms := latency_ms(entry)) is not None}
+    told = {entry.label: latency_ms(entry) for entry in entries}
+    latencies = {label: ms for label, ms in told.items() if ms is not None}
     if len(set(latencies.values())) < 2:
         return None
     lines: dict[str, list[Entry]] = {}

@@ -11,15 +11,15 @@ from typing import Any
 
 from dynahoi_lerobot.core.arguments import argument, option
 from dynahoi_lerobot.core.escaping import data_url, printable
-from dynahoi_lerobot.core.files import write_atomically
+from dynahoi_lerobot.core.files import write_text_atomically
 from dynahoi_lerobot.core.reading import ReadError, inside, read_bytes
 from dynahoi_lerobot.evaluate import table
-from dynahoi_lerobot.evaluate.compare import COMMANDS, CROSSABLE, compare, unequal_conditions
+from dynahoi_lerobot.evaluate.compare import COMMANDS, CROSSABLE, unequal_conditions
 from dynahoi_lerobot.evaluate.results import RunInfo
 from dynahoi_lerobot.evaluate.table import Cell, Table
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.report import figures
-from dynahoi_lerobot.report.comparisons import comparison_tables
+from dynahoi_lerobot.report.comparisons import comparison_tables, difference
 from dynahoi_lerobot.report.entries import Entry, distinct_episodes, read_entries
 from dynahoi_lerobot.report.export import category_tables, write_csv, write_latex
 
@@ -68,10 +68,8 @@ def run(options: Options) -> int:
 
 
 def _difference(a: Entry, b: Entry, across: list[str]) -> str:
-    loc, apart = (
-        compare(a.results, b.results, name, across=across, allow_version_mismatch=True)
-        for name in ("S_loc", COMMANDS)
-    )
+    loc = difference(a, b, "S_loc", across)
+    apart = difference(a, b, COMMANDS, across)
     if loc is None or apart is None:
         return f"{a.label} and {b.label} share no episode"
     points = f"S_loc {100 * loc.value:+.1f} [{100 * loc.low:+.1f}, {100 * loc.high:+.1f}] points"
@@ -119,7 +117,7 @@ def write_page(entries: Sequence[Entry], out: Path, across: Collection[str] = ()
     )
     html = environment.get_template("report.html.j2").render(**page_content(entries, across))
     page = Path(out) / FILE_NAME if Path(out).is_dir() else Path(out)
-    write_atomically({page: lambda path: path.write_text(html, encoding="utf-8")})
+    write_text_atomically(page, html)
     return page
 
 

@@ -124,11 +124,8 @@ def hash_packages(names: Iterable[str]) -> bytes:
     for name in names:
         spec = importlib.util.find_spec(name)
         if spec and spec.submodule_search_locations:
-            paths.update(
-                path
-                for folder in spec.submodule_search_locations
-                for path in Path(folder).rglob("*.py")
-            )
+            for folder in spec.submodule_search_locations:
+                paths.update(Path(folder).rglob("*.py"))
         elif spec and spec.origin:
             paths.add(Path(spec.origin))  # a module that is no package
     return _hash((path.name, path) for path in sorted(paths))

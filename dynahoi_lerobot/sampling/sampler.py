@@ -7,7 +7,6 @@ from __future__ import annotations
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -76,7 +75,7 @@ def search(
     Arguments and errors are those of ``sample_specs``.
     """
     pending = {i: Candidate(recipe, seed) for i, seed in enumerate(seeds)}
-    ahead = _TargetsAhead(recipe, threads)
+    ahead = RollAhead(recipe.rules.hand_name, threads)
     found: dict[int, tuple[Candidate, EpisodeSpec]] = {}
     for attempt in range(MAX_ATTEMPTS):
         if attempt % ATTEMPTS_PER_TIMING == 0:
@@ -241,8 +240,10 @@ def _known_specs(recipe: Recipe, seeds: Sequence[int], threads: int) -> dict[int
         entry = entries[candidate.seed]
         home_pos_w = homes[entry["home"]]
         if checksum_of(paths_w, home_pos_w, candidate.target) == entry["checksum"]:
-            specs[i] = candidate.accept(paths_w, home_pos_w)
-    return {i: spec for i, spec in specs.items() if spec is not None}
+            spec = candidate.accept(paths_w, home_pos_w)
+            if spec is not None:
+                specs[i] = spec
+    return specs
 
 
 def resume(
@@ -263,24 +264,18 @@ def resume(
     for candidate, (_, entry) in zip(candidates, known, strict=True):
         candidate.timing = begin_at(entry, candidate.rng)
         candidate.draw_motion()
-    ahead = _TargetsAhead(recipe, threads)
+    ahead = RollAhead(recipe.rules.hand_name, threads)
     ahead.place(dict(enumerate(candidates)))
     paths_w = ahead.paths({i: c.timing.path_frames for i, c in enumerate(candidates)})
-    return [
-        (
-            candidate,
-            paths_w[i],
-            tried_homes(
-                paths_w[i][0][candidate.timing.intercept_frame],
-                candidate.timing.travel_m,
-                candidate.rng,
-            ),
-        )
-        for i, candidate in enumerate(candidates)
-    ]
+    resumed = []
+    for i, candidate in enumerate(candidates):
+        meeting_w = paths_w[i][0][candidate.timing.intercept_frame]
+        homes = tried_homes(meeting_w, candidate.timing.travel_m, candidate.rng)
+        resumed.append((candidate, paths_w[i], homes))
+    return resumed
 
 
-def _attempt(ahead: _TargetsAhead, pending: dict[int, Candidate]) -> dict[int, EpisodeSpec]:
+def _attempt(ahead: RollAhead, pending: dict[int, Candidate]) -> dict[int, EpisodeSpec]:
     """Draw a motion for every pending candidate, roll all targets ahead together; return the
     episodes that fit.
     """
@@ -290,37 +285,12 @@ def _attempt(ahead: _TargetsAhead, pending: dict[int, Candidate]) -> dict[int, E
     homes = {i: find_homes(near[i], c.timing, c.rng) for i, c in drawn.items()}
     reached = {i: candidate for i, candidate in drawn.items() if len(homes[i])}
     whole = ahead.paths({i: candidate.timing.path_frames for i, candidate in reached.items()})
-    return {
-        i: spec
-        for i, c in reached.items()
-        if all(map(in_arena, whole[i]))
-        and (home := choose_home(whole[i], c.timing, c.fixtures, homes[i])) is not None
-        and (spec := c.accept(whole[i], home)) is not None
-    }
-
-
-class _TargetsAhead:
-    """The undisturbed targets of candidates, all rolled ahead together."""
-
-    def __init__(self, recipe: Recipe, threads: int) -> None:
-        """Roll no target yet."""
-        self._ahead = RollAhead(hand=recipe.rules.hand_name, threads=threads)
-        self._rows: dict[int, list[int]] = {}
-
-    def place(self, candidates: Mapping[int, Candidate]) -> None:
-        """Put the targets of the motions last drawn, of some candidates, where they start."""
-        rows = iter(range(sum(len(candidate.motions) for candidate in candidates.values())))
-        self._rows = {i: list(islice(rows, len(c.motions))) for i, c in candidates.items()}
-        self._ahead.place(
-            [motion for c in candidates.values() for motion in c.motions],
-            [c.target for c in candidates.values() for _ in c.motions],
-            [c.timing.path_frames for c in candidates.values() for _ in c.motions],
-        )
-
-    def paths(self, frames: Mapping[int, int]) -> dict[int, list[np.ndarray]]:
-        """Return the (F, 3) path [m], world, of each motion of some candidates, over the wanted
-        numbers of frames F.
-        """
-        wanted = {row: count for i, count in frames.items() for row in self._rows[i]}
-        paths = self._ahead.paths(wanted)
-        return {i: [paths[row] for row in self._rows[i]] for i in frames}
+    found = {}
+    for i, candidate in reached.items():
+        if not all(map(in_arena, whole[i])):
+            continue
+        home = choose_home(whole[i], candidate.timing, candidate.fixtures, homes[i])
+        spec = None if home is None else candidate.accept(whole[i], home)
+        if spec is not None:
+            found[i] = spec
+    return found

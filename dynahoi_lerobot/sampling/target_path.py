@@ -1,17 +1,22 @@
 """Where a target goes if nobody touches it: roll the untouched world ahead."""
 
-from collections.abc import Sequence
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ, SUBSTEPS
-from dynahoi_lerobot.motions import Motion, PhysicalMotion
-from dynahoi_lerobot.objects import TargetObject
+from dynahoi_lerobot.motions import PhysicalMotion
 from dynahoi_lerobot.scene.model import ENVIRONMENT
 from dynahoi_lerobot.scene.scene import compile_scene
 from dynahoi_lerobot.scene.world_fields import WorldFields
+
+if TYPE_CHECKING:
+    from dynahoi_lerobot.sampling.sampler import Candidate
 
 PARKED_PALM_W = (0.0, 0.0, 1.0)
 """Anywhere within the gantry's reach: hand and target do not collide here."""
@@ -19,7 +24,8 @@ APPLIED_FORCES = mujoco.mjtState.mjSTATE_QFRC_APPLIED
 
 
 class RollAhead:
-    """Untouched targets, whose paths are known as far as they have been asked for.
+    """The untouched targets of candidates, whose paths are known as far as they have been asked
+    for.
 
     Prescribed targets follow their closed form, which the simulated drive reproduces; physical ones
     are simulated in the scene they will be played in, with the hand parked. A target at which
@@ -27,7 +33,7 @@ class RollAhead:
     would drift apart by centimeters.
     """
 
-    def __init__(self, *, hand: str = "capsule", threads: int = 1) -> None:
+    def __init__(self, hand: str, threads: int) -> None:
         """Roll no target yet.
 
         Args:
@@ -36,21 +42,17 @@ class RollAhead:
         """
         self._scene = compile_scene(hand)
         self._threads = threads
-        self._motions: Sequence[Motion] = ()
+        self._candidates: Mapping[int, Candidate] = {}
         self._rows: dict[int, int] = {}
         self._batch: Batch | None = None
 
-    def place(
-        self, motions: Sequence[Motion], targets: Sequence[TargetObject], frames: Sequence[int]
-    ) -> None:
-        """Put N targets where they start, and forget those before.
-
-        Args:
-            motions, targets: N worlds.
-            frames: how many frames of each may be asked for, at most.
+    def place(self, candidates: Mapping[int, Candidate]) -> None:
+        """Put the targets of the motions last drawn, of numbered candidates, where they start, and
+        forget those before.
         """
-        self._motions = motions
-        physical = [i for i, motion in enumerate(motions) if isinstance(motion, PhysicalMotion)]
+        self._candidates = candidates
+        # a simulated target has one motion: gravity cannot be scaled
+        physical = [i for i, c in candidates.items() if isinstance(c.motions[0], PhysicalMotion)]
         self._rows = {i: row for row, i in enumerate(physical)}
         if not physical:
             return
@@ -58,40 +60,45 @@ class RollAhead:
         scene = self._scene
         rows = np.arange(len(physical))
         fields.reset(rows)
-        self._force_w = [
-            fields.write_world(row, motions[i], targets[i], frames[i] - 1, ENVIRONMENT)
-            for i, row in self._rows.items()
-        ]
+        self._force_w = []
+        for i, row in self._rows.items():
+            candidate = candidates[i]
+            (motion,) = candidate.motions
+            last = candidate.timing.path_frames - 1
+            force_w = fields.write_world(row, motion, candidate.target, last, ENVIRONMENT)
+            self._force_w.append(force_w)
         parked = np.concatenate([PARKED_PALM_W, scene.hand.open_joints()])
         fields.qpos[:, scene.hand_qpos] = batch.bind("ctrl")[:] = parked
         fields.finish(rows)
         self._position = slice(scene.target_qpos, scene.target_qpos + 3)
         self._paths_w = list(fields.qpos[rows, None, self._position].copy())
 
-    def paths(self, frames: dict[int, int]) -> dict[int, np.ndarray]:
-        """Return the paths of some targets over the wanted numbers of frames, which are simulated
-        once.
+    def paths(self, frames: Mapping[int, int]) -> dict[int, list[np.ndarray]]:
+        """Return the paths of some candidates over the wanted numbers of frames F, which are
+        simulated once.
 
         Returns:
-            (F, 3) positions [m], world, 0.05 s apart, the first at t = 0, of each target.
+            (F, 3) positions [m], world, 0.05 s apart, the first at t = 0, for each motion.
         """
         self._simulate({self._rows[i]: wanted for i, wanted in frames.items() if i in self._rows})
-        return {
-            i: self._paths_w[self._rows[i]][:wanted]
-            if i in self._rows
-            else self._motions[i].position(np.arange(wanted) / CONTROL_HZ)  # type: ignore[attr-defined]
-            for i, wanted in frames.items()
-        }
+        return {i: self._paths_of(i, wanted) for i, wanted in frames.items()}
+
+    def _paths_of(self, i: int, frames: int) -> list[np.ndarray]:
+        if i in self._rows:
+            return [self._paths_w[self._rows[i]][:frames]]
+        times = np.arange(frames) / CONTROL_HZ
+        return [motion.position(times) for motion in self._candidates[i].motions]  # type: ignore[attr-defined]
 
     def _simulate(self, wanted: dict[int, int]) -> None:
         """Roll rows of the batch until so many frames of each are known, in each call as far as all
         of them go.
         """
-        while missing := {
-            row: more for row, n in wanted.items() if (more := n - len(self._paths_w[row])) > 0
-        }:
-            rows = np.array(sorted(missing))
-            frames = min(missing.values())
+        while True:
+            missing = {row: n - len(self._paths_w[row]) for row, n in wanted.items()}
+            rows = np.array(sorted(row for row, more in missing.items() if more > 0), int)
+            if not len(rows):
+                return
+            frames = min(missing[row] for row in rows)
             control = np.zeros((len(rows), frames * SUBSTEPS, self._scene.model.nv))
             dof = self._scene.target_dof
             for k, row in enumerate(rows):

@@ -9,7 +9,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from dynahoi_lerobot.core.reading import ReadError, open_table, read_object
+from dynahoi_lerobot.core.reading import ReadError, open_table, read_object, read_table
 from dynahoi_lerobot.dataset.episode_table import FACTS
 from dynahoi_lerobot.dataset.manifest import Manifest, changed_files, structure_problems
 from dynahoi_lerobot.dataset.paths import MANIFEST_PATH, STATS_PATH, check_root
@@ -31,7 +31,7 @@ def unreadable(store: Store) -> Iterator[str]:
     """
     for path in store.tables():
         try:
-            store.table(path)
+            read_table(path)
         except ReadError as error:
             yield str(error)
 

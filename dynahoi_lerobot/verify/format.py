@@ -13,7 +13,7 @@ from dynahoi_lerobot.dataset.columns import (
     BOOKKEEPING,
     arrow_schema,
     bookkeeping_arrays,
-    column_array,
+    numeric_columns,
     numeric_keys,
 )
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
@@ -101,11 +101,8 @@ def _places(store: Store) -> Iterator[str]:
 
 def _bookkeeping(store: Store) -> Iterator[str]:
     """Yield frames whose numbers, times or instruction are not their episode's."""
-    tables = [store.table(path, list(BOOKKEEPING)) for path in store.data_files()]
-    columns = {
-        key: np.concatenate([column_array(table, key)[:, 0] for table in tables])
-        for key in BOOKKEEPING
-    }
+    arrays = numeric_columns(store.data_files(), list(BOOKKEEPING))
+    columns = {key: values[:, 0] for key, values in zip(BOOKKEEPING, arrays, strict=True)}
     numbers = {task: number for number, task in enumerate(store.tasks)}
     for row in store.rows:
         name = f"episode {row['episode_index']}"
@@ -201,8 +198,7 @@ def statistics_problems(store: Store) -> Iterator[str]:
     said = read_object(store.root / STATS_PATH)
     for key in numeric_keys(store.features):
         values = store.frame_columns([key])[key]
-        numbers = values.astype(np.float32) if values.dtype == bool else values
-        yield from _other_statistics(key, said.get(key), column_stats(numbers), {})
+        yield from _other_statistics(key, said.get(key), column_stats(values), {})
     episodes: dict[str, list[Stats]] = {key: [] for key in store.image_keys}
     for stored in store.stored_episodes() if episodes else ():
         for key, found in episodes.items():

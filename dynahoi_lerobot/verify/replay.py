@@ -4,7 +4,6 @@ What an episode is follows without playing it; played again, it has the same col
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from functools import partial
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,7 +18,7 @@ from dynahoi_lerobot.core.features import FEATURES, IMAGE_PREFIX
 from dynahoi_lerobot.core.numerics import TOLERANCE
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store, StoredEpisode
-from dynahoi_lerobot.dataset.video import VideoFile, decode, encode, encoded_stream, stored_packets
+from dynahoi_lerobot.dataset.video import VideoFile, decode, encode, stored_packets
 from dynahoi_lerobot.rollout.loop import played_again
 from dynahoi_lerobot.rollout.recorder import Job, episode_constants, episode_meta
 from dynahoi_lerobot.rollout.recording import Recording
@@ -168,9 +167,7 @@ def _both(
     start = round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ)
     with TemporaryDirectory() as folder:
         again = Path(folder) / "again.mp4"
-        video = VideoFile(
-            again, partial(encoded_stream, encoding=encoding, image_size=made.shape[1])
-        )
+        video = VideoFile(again, encoding, made.shape[1])
         video.append(encode(made, encoding))
         video.close()
         packets = islice(stored_packets(store.video_path(row, key)), start, start + row["length"])

@@ -22,7 +22,11 @@ def test_it_trains_the_recipe_shortened_on_all_kinds_of_motion() -> None:
     assert copy["policy"].pop("delayed_share") == 0, "its simulation waits"
     differs = {key for key in copy.keys() | original.keys() if copy.get(key) != original.get(key)}
     assert differs <= {"dataset", "output_dir", "env", "eval", "env_eval_freq"}
-    assert sorted(quickstart.KINDS[: quickstart.Size.kinds]) == sorted(MOTIONS)
+    assert sorted(quickstart.Options().kinds) == sorted(MOTIONS)
+
+
+def tiny(out: Path) -> quickstart.Options:
+    return quickstart.Options(out=out, tiny=True, **quickstart.TINY)
 
 
 def test_it_trains_on_the_device_it_is_evaluated_on(
@@ -39,7 +43,7 @@ def test_it_trains_on_the_device_it_is_evaluated_on(
     monkeypatch.setattr(quickstart, "_film", lambda out, _: out)
     for stage in (quickstart._train, quickstart._evaluate):
         with pytest.raises(CommandError):
-            stage(tmp_path, quickstart.TINY)
+            stage(tiny(tmp_path))
     assert all("--policy.device=cuda" in words for words in said)
 
 
@@ -66,9 +70,9 @@ def test_an_evaluation_that_stopped_halfway_is_done_again(
     monkeypatch.setattr(quickstart, "run_lerobot", run_lerobot)
     monkeypatch.setattr(quickstart, "_film", lambda *_: tmp_path / "film")
     with pytest.raises(CommandError, match="code 1"):
-        quickstart._evaluate(tmp_path, quickstart.TINY)
+        quickstart._evaluate(tiny(tmp_path))
     assert not results.exists()
-    quickstart._evaluate(tmp_path, quickstart.TINY)
+    quickstart._evaluate(tiny(tmp_path))
     assert read_results(results).rows
     assert not partial.exists()
 
@@ -81,8 +85,13 @@ def test_a_program_that_fails_is_named_with_its_log(tmp_path: Path) -> None:
 
 
 def test_options_decide_how_much_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    sizes: list[quickstart.Size] = []
-    monkeypatch.setattr(quickstart, "_run_stages", lambda _, size: sizes.append(size))
+    sizes: list[tuple[int, int, int, int]] = []
+
+    def run_stages(options: quickstart.Options) -> None:
+        per_kind = options.evaluation_episodes
+        sizes.append((options.episodes, options.steps, per_kind, len(options.kinds)))
+
+    monkeypatch.setattr(quickstart, "_run_stages", run_stages)
     monkeypatch.setattr(quickstart, "_conclude", lambda *_, **__: None)
     for words in (
         [],
@@ -90,7 +99,7 @@ def test_options_decide_how_much_is_done(tmp_path: Path, monkeypatch: pytest.Mon
         ["--tiny"],
     ):
         assert main(["quickstart", "--out", str(tmp_path / str(len(words))), *words]) == 0
-    assert sizes == [quickstart.Size(), quickstart.Size(4, 10, 3), quickstart.TINY]
+    assert sizes == [(800, 400, 2, 22), (4, 10, 3, 22), (2, 5, 1, 2)]
 
 
 def test_the_core_install_is_told_what_the_quickstart_needs(tmp_path, monkeypatch, capsys):

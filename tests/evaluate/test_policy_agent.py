@@ -14,7 +14,7 @@ from lerobot.policies.diffusion.modeling_diffusion import DiffusionPolicy
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.agent import Observation
 from dynahoi_lerobot.core.lerobot_internals import queued_frame
-from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError, note_frame
+from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError
 from dynahoi_lerobot.evaluate.results import read_results
 from tests.checkpoints import SHIPPED, tiny_diffusion
 from tests.world.playing import world
@@ -133,7 +133,7 @@ def test_diffusion_policy_plans_from_the_noted_frames(tmp_path: Path) -> None:
     for frame in frames:
         asked_always.select_action(dict(frame))
     for frame in frames[:-1]:
-        note_frame(asked_once, frame)
+        queued_frame(asked_once, frame)
     chunk = asked_once.predict_action_chunk(queued_frame(asked_once, frames[-1]), noise=noise)
 
     expected = asked_always.predict_action_chunk(dict(frames[-1]), noise=noise)
