@@ -22,6 +22,7 @@ from packaging.requirements import Requirement
 from dynahoi_lerobot.core.arguments import option
 from dynahoi_lerobot.core.conventions import EGO_VIEW, HAND_DOF, PALM_DOF
 from dynahoi_lerobot.core.files import check_output
+from dynahoi_lerobot.core.machine import cores
 from dynahoi_lerobot.core.numerics import TOLERANCE
 from dynahoi_lerobot.core.registry import GROUP, import_plugin
 from dynahoi_lerobot.dataset.video import CODECS
@@ -127,11 +128,6 @@ def processor() -> Iterator[Fact]:
         "" if room else f"a worker needs {WORKER_GB} GB",
         problem=not room,
     )
-
-
-def cores() -> int:
-    """Return the number of cores available to this process."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def disk(folder: Path) -> Iterator[Fact]:

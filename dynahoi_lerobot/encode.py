@@ -29,6 +29,7 @@ from dynahoi_lerobot.core.features import (
 )
 from dynahoi_lerobot.core.files import new_folder
 from dynahoi_lerobot.core.image_sensor import ImageSensor, image_sensor
+from dynahoi_lerobot.core.machine import cores
 from dynahoi_lerobot.core.reading import reading
 from dynahoi_lerobot.dataset import paths
 from dynahoi_lerobot.dataset.manifest import ENCODED, Manifest, hash_files
@@ -40,7 +41,6 @@ from dynahoi_lerobot.dataset.store import (
     frame_column,
     open_dataset,
 )
-from dynahoi_lerobot.doctor import cores
 from dynahoi_lerobot.world.detector import eye_state
 
 EPISODES_AT_ONCE = 64  # whose tables are in memory

@@ -23,10 +23,10 @@ from tqdm import tqdm
 
 from dynahoi_lerobot.cli import main as cli
 from dynahoi_lerobot.core.arguments import CommandError, option, whole
+from dynahoi_lerobot.core.machine import cores
 from dynahoi_lerobot.core.progress import progress_bar
 from dynahoi_lerobot.core.working_folder import working_folder
 from dynahoi_lerobot.dataset.paths import check_root
-from dynahoi_lerobot.doctor import cores
 from dynahoi_lerobot.evaluate.checkpoint import WEIGHTS
 from dynahoi_lerobot.evaluate.results import METRICS_FILE, read_results
 from dynahoi_lerobot.evaluate.table import metrics_table
