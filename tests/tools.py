@@ -29,6 +29,11 @@ def python(*words: object, cwd: Path | None = None, **environment: str) -> str:
     return done.stdout
 
 
+def dynahoi(*words: object, code: int = 0) -> None:
+    """Run ``dynahoi`` in this process; it must end with an exit code."""
+    assert main([str(word) for word in words]) == code
+
+
 def run(words: list[str]) -> None:
     """Run a command in this process, as its console script does."""
     from accelerate.state import AcceleratorState  # which takes long to import
@@ -81,7 +86,7 @@ def install(site: Path, distribution: str, modules: dict[str, str]) -> None:
 
 def generated(root: Path, *words: str, episodes: int = 2) -> Path:
     """Generate a dataset of a few episodes by command, with further words."""
-    assert main(["generate", "--root", str(root), "--episodes", str(episodes), *words]) == 0
+    dynahoi("generate", "--root", root, "--episodes", episodes, *words)
     return root
 
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import yaml
 
-from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import CAMERA_KEY, COMMAND_NAMES, FEATURES, privileged_features
 from dynahoi_lerobot.dataset import (
@@ -24,6 +23,7 @@ from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.video import CODECS, Encoding, stored_packets
 from tests.dataset.episodes import varied_episode, write
+from tests.tools import dynahoi
 
 
 def assert_same(before: Episode, after: Episode) -> None:
@@ -134,7 +134,7 @@ def test_a_path_that_lerobot_takes_for_a_pattern_is_refused_and_nothing_is_made(
     ):
         with pytest.raises(ValueError, match="LeRobot cannot open"):
             attempt()
-    assert main(["generate", "--root", str(root), "--episodes", "1"]) == 2
+    dynahoi("generate", "--root", root, "--episodes", "1", code=2)
     assert not root.exists()
 
 

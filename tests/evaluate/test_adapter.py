@@ -13,7 +13,6 @@ from lerobot_env_dynahoi.configuration_dynahoi import DynahoiEnvConfig
 from lerobot_policy_obact import ObActPolicy
 from safetensors.torch import load_file, save_file
 
-from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.reading import sha256
 from dynahoi_lerobot.dataset import read_episodes
 from dynahoi_lerobot.evaluate.checkpoint import PolicyError, checked_folder, trained_for
@@ -22,7 +21,7 @@ from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.generate.actor import actor_name
 from tests.checkpoints import RENAMES, renamed_act, tiny_adapter
 from tests.env.test_lerobot_plugin import through_lerobot
-from tests.tools import edit_json, generated, options, run
+from tests.tools import dynahoi, edit_json, generated, options, run
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +40,7 @@ def adapter(place: Path, tmp_path: Path) -> Path:
 
 def test_an_adapter_plays_in_every_command_and_results_name_both_weights(adapter, tmp_path):
     words = ["--policy", str(adapter), "--episodes", "1", "--out", str(tmp_path / "results")]
-    assert main(["evaluate", *words]) == 0
+    dynahoi("evaluate", *words)
     found = read_results(tmp_path / "results")
     base = adapter.parents[1] / "base/model.safetensors"
     assert found.info.extra["weights"] == {
@@ -49,10 +48,10 @@ def test_an_adapter_plays_in_every_command_and_results_name_both_weights(adapter
         "base/model.safetensors": sha256(base),
     }
     clip = tmp_path / "x.gif"
-    assert main(["view", "--motion", "lob", "--policy", str(adapter), "--out", str(clip)]) == 0
+    dynahoi("view", "--motion", "lob", "--policy", adapter, "--out", clip)
     assert clip.read_bytes()[:4] == b"GIF8"
     made = ["generate", "--actor", str(adapter), "--episodes", "1", "--motions", "constant"]
-    assert main([*made, "--image-size", "32", "--root", str(tmp_path / "data")]) == 0
+    dynahoi(*made, "--image-size", "32", "--root", tmp_path / "data")
     assert len(list(read_episodes(tmp_path / "data"))) == 1
 
 
@@ -95,7 +94,7 @@ def test_the_base_is_found_from_any_folder(adapter: Path, monkeypatch, tmp_path)
 
 def test_a_base_that_is_not_there_is_one_sentence(adapter: Path, capsys) -> None:
     shutil.rmtree(adapter.parents[1] / "base")
-    assert main(["evaluate", "--policy", str(adapter), "--episodes", "1"]) == 2
+    dynahoi("evaluate", "--policy", adapter, "--episodes", "1", code=2)
     message = capsys.readouterr().err
     assert message.count("\n") == 1
     assert "adapts 'base'" in message
@@ -155,7 +154,7 @@ def test_a_checkpoint_with_renamed_cameras_plays(act: Path, tmp_path: Path):
     told = trained_for(act)
     assert (told["views"], told["image_size"]) == (("side",), 32)
     out = str(tmp_path / "results")
-    assert main(["evaluate", "--policy", str(act), "--episodes", "1", "--out", out]) == 0
+    dynahoi("evaluate", "--policy", act, "--episodes", "1", "--out", out)
     assert read_results(Path(out)).recipe().rules.views == ("side",)
 
 
@@ -186,7 +185,7 @@ def trained(data: Path, out: Path, *words: str) -> Path:
 def test_lerobot_trains_an_adapter_that_plays_here(actor: Path, data: Path, tmp_path: Path):
     made = trained(data, tmp_path / "out", f"--policy.path={actor}", "--peft.method_type=LORA")
     words = ["--policy", str(made), "--episodes", "1", "--motions", "constant"]
-    assert main(["evaluate", *words, "--out", str(tmp_path / "results")]) == 0
+    dynahoi("evaluate", *words, "--out", tmp_path / "results")
     weights = read_results(tmp_path / "results").info.extra["weights"]
     assert {*weights} >= {"adapter_model.safetensors", "base/model.safetensors"}
 
@@ -197,5 +196,5 @@ def test_lerobot_trains_with_renamed_cameras_what_plays_here(act: Path, data: Pa
     words = (f"--policy.path={act}", f"--rename_map={json.dumps(RENAMES)}")
     made = trained(data, tmp_path / "out", *words)
     words = ["--policy", str(made), "--episodes", "1", "--motions", "constant"]
-    assert main(["evaluate", *words, "--out", str(tmp_path / "results")]) == 0
+    dynahoi("evaluate", *words, "--out", tmp_path / "results")
     assert read_results(tmp_path / "results").recipe().rules.views == ("side",)

@@ -11,12 +11,12 @@ import pytest
 import torch
 from lerobot.policies.diffusion.modeling_diffusion import DiffusionPolicy
 
-from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.agent import Observation
 from dynahoi_lerobot.core.lerobot_internals import queued_frame
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError, note_frame
 from dynahoi_lerobot.evaluate.results import read_results
 from tests.checkpoints import SHIPPED, tiny_diffusion
+from tests.tools import dynahoi
 from tests.world.playing import world
 
 CHECKPOINT = str(SHIPPED)
@@ -59,19 +59,8 @@ def test_a_measured_inference_is_of_one_world_and_may_outlast_the_chunk_before(
         "--out",
         str(tmp_path),
     ]
-    assert (
-        main(
-            [
-                *words,
-                "--control-class",
-                "unlimited",
-                "--inference",
-                mode,
-                "--inference-ms",
-                "measured",
-            ]
-        )
-        == 0
+    dynahoi(
+        *words, "--control-class", "unlimited", "--inference", mode, "--inference-ms", "measured"
     )
     assert set(worlds) == {1}
     assert read_results(tmp_path).info.extra["inference_frames"] == 11.0
