@@ -4,6 +4,7 @@ servers.
 
 import json
 import shutil
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import chain, count, repeat
 from pathlib import Path
@@ -20,6 +21,7 @@ from lerobot.policies.rtc import RTCConfig
 from lerobot.rollout.inference.rtc import supports_rtc_inference
 from lerobot.utils.feature_utils import dataset_to_policy_features
 from lerobot_policy_obact import ObActConfig, ObActPolicy, dataset
+from lerobot_policy_obact.commands import CommandBuffer
 from lerobot_policy_obact.configuration_obact import Embodiment
 from lerobot_policy_obact.encoders import SHIPPED
 from lerobot_policy_obact.export import export
@@ -118,10 +120,23 @@ RECORDED = {
 }
 
 
+def metadata(root: Path) -> LeRobotDatasetMetadata:
+    return LeRobotDatasetMetadata("local/tiny", root=root)
+
+
+def features_of(root: Path) -> dict[str, PolicyFeature]:
+    return dataset_to_policy_features(metadata(root).features)
+
+
 def step(policy: ObActPolicy, n: int = 2, seed: int = 0) -> dict[str, torch.Tensor]:
     generator = torch.Generator().manual_seed(seed)
-    shapes = {key: feature.shape for key, feature in policy.config.input_features.items()}
-    return {key: torch.rand(n, *shape, generator=generator) for key, shape in shapes.items()}
+    inputs = policy.config.input_features
+    return {key: torch.rand(n, *inputs[key].shape, generator=generator) for key in inputs}
+
+
+def at(time_s: float, batch: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """The batch, seen at a time."""
+    return batch | {"timestamp": torch.tensor([time_s])}
 
 
 def hand_policy(**changes: object) -> ObActPolicy:
@@ -131,9 +146,8 @@ def hand_policy(**changes: object) -> ObActPolicy:
 
 def learner(root: Path, **changes: object) -> ObActPolicy:
     """A policy that is about to learn from recorded episodes."""
-    meta = LeRobotDatasetMetadata("local/tiny", root=root)
-    features = dataset_to_policy_features(meta.features)
-    inputs = {key: x for key, x in features.items() if key != "action"}
+    meta = metadata(root)
+    inputs = {key: feature for key, feature in features_of(root).items() if key != "action"}
     config = ObActConfig(**TINY | HAND | RECORDED | {"input_features": inputs} | changes)
     torch.manual_seed(0)
     return ObActPolicy(config, dataset_stats=meta.stats, dataset_meta=meta).train()
@@ -143,8 +157,7 @@ def batch_of(
     policy: ObActPolicy, root: Path, n: int = 4, episodes: list[int] | None = None
 ) -> dict[str, torch.Tensor]:
     """The first batch that LeRobot would make for a policy."""
-    meta = LeRobotDatasetMetadata("local/tiny", root=root)
-    times = resolve_delta_timestamps(policy.config, meta)
+    times = resolve_delta_timestamps(policy.config, metadata(root))
     found = LeRobotDataset("local/tiny", root=root, delta_timestamps=times, episodes=episodes)
     return next(iter(DataLoader(found, batch_size=n, shuffle=True)))
 
@@ -383,14 +396,10 @@ def test_actions_that_are_displacements_do_not_count_from_the_palm(tmp_path: Pat
     root = generated(
         tmp_path / "grasp", "--image-size", "96", "--control-mode", "grasp", episodes=2
     )
-    policy = learner(root, n_future_steps=0, output_features=features_of(root, "action"))
+    actions = {"action": features_of(root)["action"]}
+    policy = learner(root, n_future_steps=0, output_features=actions)
     assert policy.config.relative_dims == 0
     assert policy(batch_of(policy, root))[0].isfinite()
-
-
-def features_of(root: Path, *keys: str) -> dict[str, PolicyFeature]:
-    meta = LeRobotDatasetMetadata("local/tiny", root=root)
-    return {key: dataset_to_policy_features(meta.features)[key] for key in keys}
 
 
 CHANGED = {"dataset.image_transforms.enable": True}
@@ -416,8 +425,8 @@ def fine_tuned(checkpoint: Path, root: Path, **changes: object) -> ObActPolicy:
     for name, value in changes.items():
         setattr(config, name, value)
     config.pretrained_path = checkpoint
-    config.output_features = features_of(root, "action")
-    meta = LeRobotDatasetMetadata("local/tiny", root=root)
+    config.output_features = {"action": features_of(root)["action"]}
+    meta = metadata(root)
     return ObActPolicy.from_pretrained(
         checkpoint, config=config, dataset_stats=meta.stats, dataset_meta=meta
     ).train()
@@ -537,25 +546,22 @@ def test_every_frame_has_noise_of_its_own():
 
 def test_frames_that_were_dropped_count_as_time_that_passed_also_between_chunks():
     policy = varied()
-    seen = [
-        step(policy, seed=i) | {"timestamp": torch.tensor([t])}
-        for i, t in enumerate((0.0, 0.1, 0.5))
-    ]
+    times_s = (0.0, 0.1, 0.5)
+    seen = [step(policy, seed=i) for i in range(3)]
+    stamped = [at(time_s, batch) for time_s, batch in zip(times_s, seen, strict=True)]
 
     def acted(batches: list[dict], act=policy.select_action) -> torch.Tensor:
         policy.reset()
         return torch.stack([act(batch) for batch in batches])
 
-    with_drops = acted(seen)
-    on_time = acted([{key: x for key, x in batch.items() if key != "timestamp"} for batch in seen])
+    with_drops = acted(stamped)
+    on_time = acted(seen)
     torch.testing.assert_close(with_drops[0], on_time[0])
     assert not torch.equal(with_drops[2], on_time[2])
-    chunks = acted(seen, policy.predict_action_chunk)
+    chunks = acted(stamped, policy.predict_action_chunk)
     torch.testing.assert_close(chunks[:, :, 0], with_drops)
-    by_the_clock = acted(
-        [batch | {"timestamp": batch["timestamp"].double() + 1.7e9} for batch in seen]
-    )
-    torch.testing.assert_close(by_the_clock, with_drops, atol=1e-4, rtol=0)
+    today = [batch | {"timestamp": batch["timestamp"].double() + 1.7e9} for batch in stamped]
+    torch.testing.assert_close(acted(today), with_drops, atol=1e-4, rtol=0)
 
 
 def test_a_window_reaches_back_over_frames_that_were_dropped():
@@ -563,35 +569,36 @@ def test_a_window_reaches_back_over_frames_that_were_dropped():
 
     def later(first: int) -> torch.Tensor:
         policy.reset()
-        policy.select_action(step(policy, seed=first) | {"timestamp": torch.tensor([0.0])})
-        return policy.select_action(step(policy, seed=9) | {"timestamp": torch.tensor([0.35])})
+        policy.select_action(at(0.0, step(policy, seed=first)))
+        return policy.select_action(at(0.35, step(policy, seed=9)))
 
     assert not torch.equal(later(1), later(2))
+
+
+def set_clock(monkeypatch: pytest.MonkeyPatch, *times_s: float, then: Iterator[float]) -> None:
+    """Let the wall clock say these times, one after the other."""
+    clock = chain(times_s, then)
+    monkeypatch.setattr("time.monotonic", lambda: next(clock))
 
 
 @pytest.mark.parametrize("n_action_steps", [1, 2])
 def test_how_long_a_server_takes_changes_no_chunk_where_the_world_waits(
     n_action_steps: int, monkeypatch: pytest.MonkeyPatch
 ):
-    policy, frames = varied(n_action_steps=n_action_steps), range(4)
+    policy = varied(n_action_steps=n_action_steps)
+    seen = [step(policy, seed=i) for i in range(4)]
+    stamped = [at(0.05 * n_action_steps * i, batch) for i, batch in enumerate(seen)]
 
-    def played(delay_s: float, timestamps: list[torch.Tensor] | None = None) -> torch.Tensor:
-        clock = count(100.0, delay_s)
-        monkeypatch.setattr("time.monotonic", lambda: next(clock))
+    def chunks(batches: list[dict], server_s: float) -> torch.Tensor:
+        set_clock(monkeypatch, then=count(100.0, server_s))
         policy.reset()
-        batches = [step(policy, seed=i) for i in frames]
-        for batch, seconds in zip(batches, timestamps or [], strict=False):
-            batch["timestamp"] = seconds
         return torch.stack([policy.predict_action_chunk(batch) for batch in batches])
 
-    prompt = played(0.05)
-    for other in (
-        played(0.2),
-        played(0.05, [torch.tensor([0.05 * n_action_steps * i]) for i in frames]),
-    ):
-        torch.testing.assert_close(other, prompt, rtol=0, atol=0)
+    prompt = chunks(seen, 0.05)
+    assert torch.equal(chunks(seen, 0.2), prompt)
+    assert torch.equal(chunks(stamped, 0.05), prompt)
     policy.real_time = True
-    assert not torch.equal(played(0.2), played(0.05)), "a robot moves on"
+    assert not torch.equal(chunks(seen, 0.2), chunks(seen, 0.05)), "a robot moves on"
 
 
 def live(policy: ObActPolicy, seed: int) -> torch.Tensor:
@@ -603,21 +610,18 @@ def live(policy: ObActPolicy, seed: int) -> torch.Tensor:
 
 def test_frames_are_ticks_of_the_robots_clock_however_often_and_late_a_caller_asks(monkeypatch):
     policy = varied()
-    clock = chain([100.0, 100.02, 100.06, 100.09, 100.16], repeat(0.0))  # ticks 0, 0, 1, 2 and 3
-    monkeypatch.setattr("time.monotonic", lambda: next(clock))
+    ticks_0_0_1_2_and_3 = (100.0, 100.02, 100.06, 100.09, 100.16)
+    set_clock(monkeypatch, *ticks_0_0_1_2_and_3, then=repeat(0.0))
     hurried = [live(policy, seed=i) for i in (0, 0, 1, 2, 3)]
     policy.reset()
-    regular = [
-        policy.predict_action_chunk(step(policy, seed=i) | {"timestamp": torch.tensor([0.05 * i])})
-        for i in range(4)
-    ]
+    regular = [policy.predict_action_chunk(at(0.05 * i, step(policy, seed=i))) for i in range(4)]
     torch.testing.assert_close(torch.stack(hurried[1:]), torch.stack(regular))
 
 
 def test_the_last_frame_of_the_episode_before_is_forgotten(monkeypatch):
     policy = varied()
-    clock = chain([100.0, 100.05, 110.0, 110.02, 110.07, 110.12, 0.0, 0.05], repeat(0.0))
-    monkeypatch.setattr("time.monotonic", lambda: next(clock))
+    times_s = (100.0, 100.05, 110.0, 110.02, 110.07, 110.12, 0.0, 0.05)
+    set_clock(monkeypatch, *times_s, then=repeat(0.0))
     for i in (8, 9):
         live(policy, seed=i)
     policy.reset()
@@ -678,7 +682,7 @@ def test_a_chunk_that_is_late_follows_from_the_palm_as_it_will_be(monkeypatch):
     chunks = {}
     palms = []
     for frame in range(8):
-        seen = batch | {"timestamp": torch.tensor([0.05 * frame])}
+        seen = at(0.05 * frame, batch)
         if frame % 2 == 0:  # an inference takes two frames, after which the next one begins
             chunks[frame] = policy.predict_action_chunk(seen, 2)
         else:
@@ -718,7 +722,7 @@ def test_while_a_chunk_is_awaited_the_last_one_goes_on():
     actions = []
     for i in range(12):
         batch["observation.state"] = batch["observation.state"] + 0.01
-        actions.append(policy.select_action(batch | {"timestamp": torch.tensor([0.05 * i])}))
+        actions.append(policy.select_action(at(0.05 * i, batch)))
     first = torch.stack(actions[:6])
     second = torch.stack(actions[6:])
     assert (first[:3] == first[3]).all(), "nothing was commanded before"
@@ -727,23 +731,9 @@ def test_while_a_chunk_is_awaited_the_last_one_goes_on():
     assert (second[1] != second[2]).any(), "each follows from a decision of its own"
 
 
-def test_without_a_forecast_a_late_chunk_is_the_one_of_a_hand_that_acts_at_once():
-    policy = varied(horizon=8)
-    at_once = policy.predict_action_chunk(step(policy))
-    policy.reset()
-    torch.testing.assert_close(policy.predict_action_chunk(step(policy), 3), at_once)
-
-
-def waiting(policy: ObActPolicy, palms: list[float], told: list[float]) -> torch.Tensor:
-    """Where a hand is expected that was at ``palms`` [m] along x and ``told`` [m] to go there."""
-    commands = policy._commands
-    history = torch.zeros(1, len(palms), 3)
-    history[0, :, 0] = torch.tensor(palms)
-    for frame, goal in enumerate(told):
-        chunk = torch.zeros(1, 1, 18)
-        chunk[:, :, 0] = goal
-        commands.give(chunk, frame, 0)
-    return commands.due(history, len(palms) - 1, 0)[0, 0]
+def along_x(places_m: list[float]) -> torch.Tensor:
+    """Places on the x axis, (1, T, 3)."""
+    return torch.tensor(places_m)[None, :, None] * torch.tensor([1.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize(
@@ -756,9 +746,11 @@ def waiting(policy: ObActPolicy, palms: list[float], told: list[float]) -> torch
     ids=["it hovered where it was told", "it is held", "it goes where it was told"],
 )
 def test_commands_on_their_way_count_unless_the_hand_is_held(palms: list, told: list, due: float):
-    robot = Embodiment(palm_speed_m_s=0.5, delay_frames=1)
-    policy = varied(embodiment=robot)
-    assert float(waiting(policy, palms, told)) == pytest.approx(due, abs=1e-3)
+    commands = CommandBuffer(Embodiment(palm_speed_m_s=0.5, fps=20, delay_frames=1))
+    for frame, goal in enumerate(along_x(told).unbind(1)):
+        commands.give(goal[:, None], frame, 0)
+    expected = commands.due(along_x(palms), len(palms) - 1, 0)
+    torch.testing.assert_close(expected, along_x([due])[:, 0], atol=1e-3, rtol=0)
 
 
 def test_recorded_actions_follow_from_where_the_palm_is_as_in_training():
@@ -769,9 +761,8 @@ def test_recorded_actions_follow_from_where_the_palm_is_as_in_training():
     for before, delay in ((policy.select_action, 0), (policy.observe, 0), (policy.observe, 2)):
         policy.reset()
         for i, batch in enumerate(seen[:3]):
-            before(batch | {"timestamp": torch.tensor([i / 20])})
-        newest = seen[3] | {"timestamp": torch.tensor([3 / 20])}
-        chunks.append(policy.predict_action_chunk(newest, delay))
+            before(at(0.05 * i, batch))
+        chunks.append(policy.predict_action_chunk(at(0.15, seen[3]), delay))
     assert torch.equal(chunks[0], chunks[1])
     assert torch.equal(chunks[0], chunks[2])
 
@@ -860,7 +851,7 @@ def test_training_by_contact_is_not_offered(hand_root: Path, monkeypatch):
         return columns
 
     monkeypatch.setattr(dataset, "columns_of", by_contact)
-    meta = LeRobotDatasetMetadata("local/contact", root=hand_root)
+    meta = metadata(hand_root)
     with pytest.raises(ValueError, match="must be gripped, and training by contact is not offered"):
         ObActPolicy(config, dataset_meta=meta)
 

@@ -35,8 +35,12 @@ def teacher() -> Teacher:
     return Teacher(20.0, STEP_M, torch.zeros(15), torch.ones(15), 0.03)
 
 
-def windows(b: int = 64, error: torch.Tensor | None = None, begin: int = 5) -> Window:
-    """Windows in which hands at rest watch targets pass in straight lines, all of them in view."""
+def windows(
+    b: int = 64, error: torch.Tensor | float = 0.0, begin: int = 5, length: int = LENGTH
+) -> Window:
+    """Windows in which hands at rest watch targets pass in straight lines, all of them in view;
+    the eye's errors are (b, length, 3).
+    """
     generator = torch.Generator().manual_seed(0)
     start = torch.tensor([0.4, 0.0, 0.0]) + 0.02 * torch.randn(b, 1, 3, generator=generator)
     speed = 0.002 * torch.randn(b, 1, 3, generator=generator)
@@ -44,12 +48,11 @@ def windows(b: int = 64, error: torch.Tensor | None = None, begin: int = 5) -> W
     path = start + torch.arange(n)[:, None] * speed
     full = torch.full((b,), n)
     targets = Targets(path, full, full)
-    state = torch.zeros(b, LENGTH, 18)
-    view = camera().seen(path[:, :LENGTH])
-    view = view if error is None else view + error
-    sightings = torch.cat([view, torch.full((b, LENGTH, 2), -2.0)], dim=-1)[:, :, None]
-    hidden = torch.zeros(b, LENGTH, dtype=torch.bool)
-    frames = Frames(sightings, state, torch.arange(LENGTH) / 20.0, hidden)
+    state = torch.zeros(b, length, 18)
+    view = camera().seen(path[:, :length]) + error
+    sightings = torch.cat([view, torch.full((b, length, 2), -2.0)], dim=-1)[:, :, None]
+    hidden = torch.zeros(b, length, dtype=torch.bool)
+    frames = Frames(sightings, state, torch.arange(length) / 20.0, hidden)
     actions = torch.zeros(b, 8, 18)
     weight = torch.ones(b, 8)
     return Window(frames, ~hidden, actions, weight, torch.full((b,), begin), 0, targets)
@@ -70,19 +73,12 @@ def policy(**changes: object) -> ObActPolicy:
     return ObActPolicy(ObActConfig(**small | options | FEATURES | changes))
 
 
-def hands(**changes: object) -> VirtualHands:
-    actor = policy(**changes)
+def hands(actor: ObActPolicy | None = None) -> VirtualHands:
+    actor = actor or policy()
     return VirtualHands(actor.config, teacher(), actor.acting)
 
 
 # -- transplanted sightings ------------------------------------------------------------------------
-
-
-def test_from_the_recorded_palm_the_recorded_sightings_are_seen():
-    error = 0.05 * torch.randn(64, LENGTH, 3)
-    window = windows(error=error)
-    seen = Donors(window, [camera()]).seen(window.targets.path[:, :LENGTH], window.frames.palm)
-    torch.testing.assert_close(seen, window.frames.sightings, atol=1e-4, rtol=0)
 
 
 def test_from_another_palm_the_true_view_is_seen_with_the_error_of_the_same_frame():
@@ -131,7 +127,7 @@ def test_frames_after_the_catch_lend_no_errors():
 
 
 def test_recorded_hands_are_shown_as_they_were():
-    window = windows(begin=PAST + 3)
+    window = windows(error=0.05 * torch.randn(64, LENGTH, 3), begin=PAST + 3)
     shown = hands().drawn(window, 0.0)
     torch.testing.assert_close(shown.frames.state, window.frames.state)
     torch.testing.assert_close(shown.frames.sightings, window.frames.sightings, atol=1e-4, rtol=0)
@@ -182,19 +178,9 @@ def test_where_nothing_is_to_be_decided_only_the_forecast_is_learned():
 @pytest.mark.parametrize("late", [0, 3])
 def test_windows_may_be_short(past: int, future: int, late: int):
     actor = policy(n_obs_steps=past, n_future_steps=future)
-    n = past + future
-    window = windows()
-    frames = window.frames
-    frames = replace(
-        frames,
-        sightings=frames.sightings[:, :n],
-        state=frames.state[:, :n],
-        time_s=frames.time_s[:n],
-        hidden=frames.hidden[:, :n],
-    )
-    window = replace(window, frames=frames, recorded=window.recorded[:, :n], delay_frames=late)
-    shown = VirtualHands(actor.config, teacher(), actor.acting).drawn(window, 0.8)
-    assert shown.frames.palm.shape == (64, n, 3)
+    window = replace(windows(length=past + future), delay_frames=late)
+    shown = hands(actor).drawn(window, 0.8)
+    assert shown.frames.palm.shape == (64, past + future, 3)
     losses = window_losses(actor.model, shown, teacher())
     assert all(loss.isfinite().all() for loss in losses.values())
 
