@@ -39,8 +39,7 @@ def adapter(place: Path, tmp_path: Path) -> Path:
 
 
 def test_an_adapter_plays_in_every_command_and_results_name_both_weights(adapter, tmp_path):
-    words = ["--policy", str(adapter), "--episodes", "1", "--out", str(tmp_path / "results")]
-    dynahoi("evaluate", *words)
+    dynahoi("evaluate", "--policy", adapter, "--episodes=1", "--out", tmp_path / "results")
     found = read_results(tmp_path / "results")
     base = adapter.parents[1] / "base/model.safetensors"
     assert found.info.extra["weights"] == {
@@ -50,8 +49,8 @@ def test_an_adapter_plays_in_every_command_and_results_name_both_weights(adapter
     clip = tmp_path / "x.gif"
     dynahoi("view", "--motion", "lob", "--policy", adapter, "--out", clip)
     assert clip.read_bytes()[:4] == b"GIF8"
-    made = ["generate", "--actor", str(adapter), "--episodes", "1", "--motions", "constant"]
-    dynahoi(*made, "--image-size", "32", "--root", tmp_path / "data")
+    words = ("--actor", str(adapter), "--motions=constant", "--image-size=32")
+    generated(tmp_path / "data", *words, episodes=1)
     assert len(list(read_episodes(tmp_path / "data"))) == 1
 
 
@@ -153,9 +152,8 @@ def act(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_checkpoint_with_renamed_cameras_plays(act: Path, tmp_path: Path):
     told = trained_for(act)
     assert (told["views"], told["image_size"]) == (("side",), 32)
-    out = str(tmp_path / "results")
-    dynahoi("evaluate", "--policy", act, "--episodes", "1", "--out", out)
-    assert read_results(Path(out)).recipe().rules.views == ("side",)
+    dynahoi("evaluate", "--policy", act, "--episodes=1", "--out", tmp_path)
+    assert read_results(tmp_path).recipe().rules.views == ("side",)
 
 
 def test_lerobot_eval_plays_it_with_and_without_the_map(act: Path, tmp_path: Path):
@@ -172,6 +170,10 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return generated(root, "--image-size", "32", "--views", "side", "--motions", "constant")
 
 
+def played(policy: Path, out: Path) -> None:
+    dynahoi("evaluate", "--policy", policy, "--episodes=1", "--motions=constant", "--out", out)
+
+
 def trained(data: Path, out: Path, *words: str) -> Path:
     """The checkpoint of two steps of LeRobot's training."""
     told = {"dataset.repo_id": "local/d", "dataset.root": data, "output_dir": out}
@@ -184,8 +186,7 @@ def trained(data: Path, out: Path, *words: str) -> Path:
 @pytest.mark.slow
 def test_lerobot_trains_an_adapter_that_plays_here(actor: Path, data: Path, tmp_path: Path):
     made = trained(data, tmp_path / "out", f"--policy.path={actor}", "--peft.method_type=LORA")
-    words = ["--policy", str(made), "--episodes", "1", "--motions", "constant"]
-    dynahoi("evaluate", *words, "--out", tmp_path / "results")
+    played(made, tmp_path / "results")
     weights = read_results(tmp_path / "results").info.extra["weights"]
     assert {*weights} >= {"adapter_model.safetensors", "base/model.safetensors"}
 
@@ -195,6 +196,5 @@ def test_lerobot_trains_an_adapter_that_plays_here(actor: Path, data: Path, tmp_
 def test_lerobot_trains_with_renamed_cameras_what_plays_here(act: Path, data: Path, tmp_path: Path):
     words = (f"--policy.path={act}", f"--rename_map={json.dumps(RENAMES)}")
     made = trained(data, tmp_path / "out", *words)
-    words = ["--policy", str(made), "--episodes", "1", "--motions", "constant"]
-    dynahoi("evaluate", *words, "--out", tmp_path / "results")
+    played(made, tmp_path / "results")
     assert read_results(tmp_path / "results").recipe().rules.views == ("side",)

@@ -48,20 +48,9 @@ def test_a_measured_inference_is_of_one_world_and_may_outlast_the_chunk_before(
         )  # its chunks are of 8 frames, 0.4 s
 
     monkeypatch.setattr(PolicyAgent, "plan", slow)
-    words = [
-        "evaluate",
-        "--policy",
-        str(actor),
-        "--split",
-        "val",
-        "--episodes",
-        "2",
-        "--out",
-        str(tmp_path),
-    ]
-    dynahoi(
-        *words, "--control-class", "unlimited", "--inference", mode, "--inference-ms", "measured"
-    )
+    words = ["--split=val", "--episodes=2", "--control-class=unlimited"]
+    words += [f"--inference={mode}", "--inference-ms=measured"]
+    dynahoi("evaluate", "--policy", actor, *words, "--out", tmp_path)
     assert set(worlds) == {1}
     assert read_results(tmp_path).info.extra["inference_frames"] == 11.0
 

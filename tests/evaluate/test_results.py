@@ -13,7 +13,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.reading import LeftOut, ReadError
 from dynahoi_lerobot.evaluate.compare import compare
 from dynahoi_lerobot.evaluate.replay_results import check_results
@@ -81,33 +80,18 @@ def test_the_files_are_as_documented(folder: Path):
         np.testing.assert_array_equal(log, episode.action)
 
 
-def shuffled(count: int, seed: int) -> list[Episode]:
-    """Episodes in the order in which some policy happened to finish them."""
-    played = list(episodes(count))
-    return [played[i] for i in np.random.default_rng(seed).permutation(count)]
-
-
 def test_episodes_lie_in_the_order_of_the_split_in_whichever_order_they_end(tmp_path: Path):
-    files = {}
+    played = list(episodes(9))
     for seed in range(3):
-        played = shuffled(9, seed)
-        results = Results(tmp_path / str(seed), INFO)
-        for episode in played[:4]:
-            results = results.plus([episode])
+        order = np.random.default_rng(seed).permutation(9)
+        write_results(tmp_path / str(seed), [played[i] for i in order[:4]], INFO)
+        results = Results.resumed(tmp_path / str(seed), INFO).plus([played[i] for i in order[4:]])
         results.write()
-        results = Results.resumed(tmp_path / str(seed), INFO).plus(played[4:])
-        results.write()
-        assert [row["seed"] for row in results.rows] == list(range(9))
-        table = pq.read_table(tmp_path / str(seed) / "episodes.parquet")
-        assert table["seed"].to_pylist() == list(range(9))
-        files[seed] = [
-            (tmp_path / str(seed) / name).read_bytes()
-            for name in ("episodes.parquet", "actions.npz", "metrics.json")
-        ]
-    assert files[0] == files[1] == files[2]
-    read = read_results(tmp_path / "0")
-    for episode, actions in zip(episodes(9), read.actions, strict=True):
-        np.testing.assert_array_equal(actions, episode.action)
+    whole = write_results(tmp_path / "whole", played, INFO)
+    for path in whole.folder.iterdir():
+        for seed in range(3):
+            assert (tmp_path / str(seed) / path.name).read_bytes() == path.read_bytes()
+    assert [row["seed"] for row in read_results(whole.folder).rows] == list(range(9))
 
 
 BOTH = ("episodes.parquet", "actions.npz")
