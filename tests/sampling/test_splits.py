@@ -3,7 +3,6 @@ another speed.
 """
 
 import json
-import pickle
 import shutil
 from dataclasses import fields, replace
 from pathlib import Path
@@ -14,7 +13,6 @@ import pytest
 from dynahoi_lerobot.core.conventions import CONTROL_DT
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.dataset.paths import MANIFEST_PATH
-from dynahoi_lerobot.env import DynahoiVectorEnv
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.motions import MOTIONS, PrescribedMotion
 from dynahoi_lerobot.report.entries import read_entries
@@ -126,16 +124,6 @@ def test_a_salt_that_can_be_guessed_is_refused_and_not_repeated():
     with pytest.raises(ValueError, match="at least 16 characters") as refused:
         Recipe(salt="hush!")
     assert "hush!" not in str(refused.value)
-
-
-def test_the_environment_plays_the_salted_stream_and_so_do_its_copies():
-    env = DynahoiVectorEnv(1, image_size=0, salt=SALT)
-    for one in (env, pickle.loads(pickle.dumps(env))):
-        one.reset(seed=[5])
-        spec = one._batch.specs[0]
-        np.testing.assert_array_equal(
-            spec.home_pos_w, sample_spec(Recipe(split="test", salt=SALT), 5).home_pos_w
-        )
 
 
 @pytest.mark.parametrize(
