@@ -90,31 +90,21 @@ def test_the_single_envs_info_has_the_same_keys_and_types_at_every_step() -> Non
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_the_vector_envs_info_has_the_same_keys_at_every_step(mode: AutoresetMode) -> None:
-    env = DynahoiVectorEnv(2, autoreset_mode=mode, max_episode_steps=2, **BLIND)
-    found = [env.reset(seed=0)[1]]
-    for _ in range(3):
-        *_, info = env.step(np.zeros((2, 18), np.float32))
-        found.append({name: info[name] for name in info if "final_" not in name})
+def test_a_limit_of_steps_truncates_every_episode_and_infos_keep_their_keys(mode) -> None:
+    name = "dynahoi_lerobot.env:dynahoi/all-v0"
+    env = gym.make_vec(name, 2, max_episode_steps=2, autoreset_mode=mode, image_size=0)
+    infos = [env.reset(seed=0)[1]]
+    for truncates in (False, True, None):
+        _, _, terminated, truncated, info = env.step(env.action_space.sample())
+        infos.append(info)
+        assert not terminated.any()
+        if truncates is not None:
+            assert truncated.tolist() == [truncates] * 2
     wanted = {"is_success", *METRICS.names(), *(f"_{name}" for name in METRICS.names())}
-    assert [set(info) for info in found] == [wanted] * 4
-
-
-@pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_a_limit_of_steps_truncates_every_episode(mode: AutoresetMode) -> None:
-    env = gym.make_vec(
-        "dynahoi_lerobot.env:dynahoi/all-v0",
-        num_envs=2,
-        max_episode_steps=5,
-        autoreset_mode=mode,
-        image_size=0,
-    )
-    env.reset(seed=0)
-    steps = [env.step(env.action_space.sample()) for _ in range(5)]
-    assert [step[3].tolist() for step in steps] == [[False, False]] * 4 + [[True, True]]
-    assert not any(step[2].any() for step in steps), "terminated"
-    info = steps[-1][4].get("final_info", steps[-1][4])
-    assert not info["_S_loc"].any(), "what is cut short is not measured"
+    for info in infos:
+        assert {name for name in info if "final_" not in name} == wanted
+    last = infos[2].get("final_info", infos[2])
+    assert not last["_S_loc"].any(), "what is cut short is not measured"
     with pytest.raises(ValueError, match="max_episode_steps must be at least 1, got 0"):
         DynahoiVectorEnv(1, max_episode_steps=0)
 
