@@ -191,19 +191,21 @@ def test_merge_refuses_versions_of_the_benchmark(tmp_path):
 
 def test_a_frame_column_has_a_row_per_frame_wherever_it_is_stored(dataset):
     episodes = list(read_episodes(dataset))
-    wanted = {
-        "action": np.concatenate([episode.action for episode in episodes]),
-        "observation.phase": np.concatenate([episode.phase for episode in episodes]),
-        "target.pose": np.concatenate([episode.target_pose_h for episode in episodes]),
-        "localized": np.concatenate([episode.localized for episode in episodes])[:, None],
-        "home_position": np.concatenate(
-            [np.tile(episode.home_pos_w, (len(episode), 1)) for episode in episodes]
-        ),
-        "intercept.time": np.concatenate(
-            [[[episode.intercept_s]] * len(episode) for episode in episodes]
-        ),
-    }
-    for key, values in wanted.items():
+    lengths = [len(episode) for episode in episodes]
+
+    def in_frames(name: str) -> np.ndarray:
+        return np.concatenate([getattr(episode, name) for episode in episodes])
+
+    def of_episodes(name: str) -> np.ndarray:
+        return np.repeat([getattr(episode, name) for episode in episodes], lengths, axis=0)
+
+    for key, values in {
+        "action": in_frames("action"),
+        "target.pose": in_frames("target_pose_h"),
+        "localized": in_frames("localized")[:, None],
+        "home_position": of_episodes("home_pos_w"),
+        "intercept.time": of_episodes("intercept_s")[:, None],
+    }.items():
         found = frame_column(dataset, key)
         np.testing.assert_array_equal(found, values.astype(found.dtype), key)
     for key in ("target.colour", "object_primitives", "attempt_success", CAMERA_KEY, "task"):

@@ -6,7 +6,7 @@ import json
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import chain, count, repeat
+from itertools import chain, count, pairwise, repeat
 from pathlib import Path
 
 import numpy as np
@@ -60,7 +60,8 @@ HAND = {name: FEATURES[name] for name in ("input_features", "output_features")}
 
 def lerobot_train(root: Path, out: Path, policy: dict[str, object], **given: object) -> Path:
     """Train for two steps with options of the policy, and others; return the checkpoint."""
-    told = {"policy.type": "obact"} | {f"policy.{key}": value for key, value in policy.items()}
+    start = {} if "path" in policy else {"type": "obact"}
+    told = {f"policy.{key}": value for key, value in (start | policy).items()}
     told |= {"dataset.repo_id": "local/tiny", "dataset.root": root, "output_dir": out, "seed": 1}
     told |= {"steps": 2, "batch_size": 2, "save_freq": 2, "num_workers": 0, "log_freq": 1} | given
     run(["lerobot-train", *options(told)])
@@ -74,22 +75,14 @@ def push_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     image = {"dtype": "image", "shape": (SIZE, SIZE, 3), "names": ["height", "width", "channel"]}
     vector = {"dtype": "float32", "shape": (2,), "names": None}
     features = {"observation.image": image, "observation.state": vector, "action": vector}
-    dataset = LeRobotDataset.create(
-        "local/tiny", fps=FPS, features=features, root=root, use_videos=False
-    )
+    dataset = LeRobotDataset.create("local/tiny", FPS, features, root=root, use_videos=False)
     rng = np.random.default_rng(0)
     for _ in range(N_EPISODES):
         walk = rng.normal(size=(N_FRAMES + 1, 2)).cumsum(0).astype(np.float32)
-        for t in range(N_FRAMES):
-            picture = rng.integers(0, 256, (SIZE, SIZE, 3), dtype=np.uint8)
-            dataset.add_frame(
-                {
-                    "observation.image": picture,
-                    "observation.state": walk[t],
-                    "action": walk[t + 1],
-                    "task": "push",
-                }
-            )
+        for here, there in pairwise(walk):
+            frame = {"observation.state": here, "action": there, "task": "push"}
+            frame["observation.image"] = rng.integers(0, 256, (SIZE, SIZE, 3), dtype=np.uint8)
+            dataset.add_frame(frame)
         dataset.save_episode()
     dataset.finalize()
     return root
@@ -293,14 +286,9 @@ def test_training_goes_on_and_begins_from_a_checkpoint(push_root: Path, tmp_path
     state = tmp_path / "first/checkpoints/000004/training_state/training_step.json"
     assert json.loads(state.read_text())["step"] == 4
 
-    given = {"policy.path": first, "policy.optimizer_lr": 1e-12, "policy.push_to_hub": False}
-    given |= {"dataset.repo_id": "local/tiny", "dataset.root": push_root, "steps": 1}
-    given |= {"output_dir": tmp_path / "tuned", "batch_size": 2, "num_workers": 0}
-    run(["lerobot-train", *options(given)])
-    began, tuned = (
-        load_file(folder / "model.safetensors")
-        for folder in (first, tmp_path / "tuned/checkpoints/last/pretrained_model")
-    )
+    slow = {"path": first, "optimizer_lr": 1e-12, "push_to_hub": False}
+    tuned = load_file(lerobot_train(push_root, tmp_path / "tuned", slow) / "model.safetensors")
+    began = load_file(first / "model.safetensors")
     weights = [name for name in began if not name.startswith("average.")]
     assert weights
     for name in weights:
