@@ -16,7 +16,7 @@ from dynahoi_lerobot.encode import SIGHTINGS_PREFIX, encode
 from dynahoi_lerobot.evaluate.checkpoint import trained_for
 from dynahoi_lerobot.world.detector import Detector
 from tests.conftest import Once
-from tests.tools import dynahoi, flip_byte, generated, options, run
+from tests.tools import dynahoi, flip_byte, generated, lerobot_train
 
 
 @pytest.fixture(scope="module")
@@ -126,13 +126,10 @@ def test_act_learns_from_it_and_its_checkpoint_asks_environments_for_the_same(tm
     with_state = tmp_path / "encoded"
     encode(root, with_state, environment_state=True)
     dynahoi("verify", with_state)
-    recipe = Path(__file__).parents[1] / "recipes/train/act.yaml"
-    given = {"config_path": recipe, "env": None, "dataset.root": with_state, "steps": 2}
-    given |= {"output_dir": tmp_path / "act", "save_freq": 2, "batch_size": 4, "num_workers": 0}
     small = {"dim_model": 16, "n_heads": 2, "dim_feedforward": 16, "chunk_size": 4, "device": "cpu"}
-    given |= {f"policy.{key}": value for key, value in small.items()}
-    run(["lerobot-train", *options(given)])
-    told = trained_for(tmp_path / "act/checkpoints/last/pretrained_model")
+    recipe = Path(__file__).parents[1] / "recipes/train/act.yaml"
+    given = {"config_path": recipe, "env": None}
+    told = trained_for(lerobot_train(with_state, tmp_path / "act", small, **given))
     assert told["environment_state"] == "eye"
 
 

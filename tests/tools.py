@@ -59,6 +59,18 @@ def options(values: Mapping[str, object]) -> list[str]:
     ]
 
 
+def lerobot_train(root: Path, out: Path, policy: Mapping[str, object], **given: object) -> Path:
+    """Train for two steps by LeRobot's command, with options of the policy and others; return the
+    checkpoint.
+    """
+    told = {"dataset.repo_id": "local/tiny", "dataset.root": root, "output_dir": out, "seed": 1}
+    told |= {"steps": 2, "batch_size": 2, "save_freq": 2, "num_workers": 0, "log_freq": 1}
+    told["policy.push_to_hub"] = False
+    told |= {f"policy.{key}": value for key, value in policy.items()}
+    run(["lerobot-train", *options(told | given)])
+    return out / "checkpoints/last/pretrained_model"
+
+
 @contextmanager
 def served(handler: type[BaseHTTPRequestHandler]) -> Iterator[str]:
     """Serve on a local port until the block ends; yield the address."""

@@ -21,7 +21,7 @@ from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.generate.actor import actor_name
 from tests.checkpoints import RENAMES, renamed_act, tiny_adapter
 from tests.env.test_lerobot_plugin import through_lerobot
-from tests.tools import dynahoi, edit_json, generated, options, run
+from tests.tools import dynahoi, edit_json, generated, lerobot_train
 
 
 @pytest.fixture(scope="module")
@@ -61,8 +61,7 @@ def test_an_adapter_acts_as_lerobot_makes_it_act(adapter: Path, monkeypatch) -> 
     theirs = make_policy(config, env_cfg=DynahoiEnvConfig(image_size=32)).eval()
     ours = PolicyAgent(str(adapter))._policy
     plain = PolicyAgent("base")._policy
-    batch = {key: torch.rand(1, *feature.shape) for key, feature in config.input_features.items()}
-    acted = [policy.select_action(dict(batch)) for policy in (theirs, ours, plain)]
+    acted = [policy.select_action(gray(config)) for policy in (theirs, ours, plain)]
     torch.testing.assert_close(acted[0], acted[1], atol=0, rtol=0)
     assert not torch.allclose(acted[0], acted[2]), "the adapter changes something"
 
@@ -70,19 +69,22 @@ def test_an_adapter_acts_as_lerobot_makes_it_act(adapter: Path, monkeypatch) -> 
 def test_an_adapter_of_a_checkpoint_with_an_average_adapts_the_average(actor, tmp_path) -> None:
     config = PreTrainedConfig.from_pretrained(str(actor))
     config.ema_decay = 0.9
-    training = ObActPolicy(config)
-    for weight in training.acting.parameters():
+    policy = ObActPolicy(config)
+    for weight in policy.acting.parameters():
         weight.data += 0.05 * torch.randn_like(weight)
-    base = tmp_path / "base"
-    folder = tmp_path / "adapter"
-    training.save_pretrained(base)
-    for file in actor.glob("policy_*"):
-        shutil.copy(file, base)
-    loaded = PolicyAgent(str(tiny_adapter(base, folder)))._policy
-    found = dict(loaded.model.named_parameters())
-    for name, weight in training.acting.named_parameters():
-        adapted = name.replace(".weight", ".base_layer.weight").replace(".bias", ".base_layer.bias")
-        torch.testing.assert_close(found.get(adapted, found.get(name)), weight, atol=0, rtol=0)
+    acted = []
+    for name in ("training", "average"):
+        policy.save_pretrained(shutil.copytree(actor, tmp_path / name))
+        policy.keep_average()
+        adapted = PolicyAgent(str(tiny_adapter(tmp_path / name, tmp_path / f"{name}_adapter")))
+        acted.append(adapted._policy.select_action(gray(config)))
+    torch.testing.assert_close(*acted, atol=0, rtol=0)
+
+
+def gray(config: PreTrainedConfig) -> dict[str, torch.Tensor]:
+    """An observation."""
+    inputs = config.input_features
+    return {key: torch.full((1, *inputs[key].shape), 0.5) for key in inputs}
 
 
 def test_the_base_is_found_from_any_folder(adapter: Path, monkeypatch, tmp_path) -> None:
@@ -174,19 +176,11 @@ def played(policy: Path, out: Path) -> None:
     dynahoi("evaluate", "--policy", policy, "--episodes=1", "--motions=constant", "--out", out)
 
 
-def trained(data: Path, out: Path, *words: str) -> Path:
-    """The checkpoint of two steps of LeRobot's training."""
-    told = {"dataset.repo_id": "local/d", "dataset.root": data, "output_dir": out}
-    told |= {"steps": 2, "batch_size": 2, "num_workers": 0, "policy.push_to_hub": "false"}
-    run(["lerobot-train", *options(told), *words])
-    return out / "checkpoints/last/pretrained_model"
-
-
 @pytest.mark.nightly
 @pytest.mark.slow
 def test_lerobot_trains_an_adapter_that_plays_here(actor: Path, data: Path, tmp_path: Path):
-    made = trained(data, tmp_path / "out", f"--policy.path={actor}", "--peft.method_type=LORA")
-    played(made, tmp_path / "results")
+    lora = {"peft.method_type": "LORA"}
+    played(lerobot_train(data, tmp_path / "out", {"path": actor}, **lora), tmp_path / "results")
     weights = read_results(tmp_path / "results").info.extra["weights"]
     assert {*weights} >= {"adapter_model.safetensors", "base/model.safetensors"}
 
@@ -194,7 +188,6 @@ def test_lerobot_trains_an_adapter_that_plays_here(actor: Path, data: Path, tmp_
 @pytest.mark.nightly
 @pytest.mark.slow
 def test_lerobot_trains_with_renamed_cameras_what_plays_here(act: Path, data: Path, tmp_path: Path):
-    words = (f"--policy.path={act}", f"--rename_map={json.dumps(RENAMES)}")
-    made = trained(data, tmp_path / "out", *words)
+    made = lerobot_train(data, tmp_path / "out", {"path": act}, rename_map=RENAMES)
     played(made, tmp_path / "results")
     assert read_results(tmp_path / "results").recipe().rules.views == ("side",)

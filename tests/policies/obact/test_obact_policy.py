@@ -33,12 +33,13 @@ from dynahoi_lerobot.dataset import episode_column
 from dynahoi_lerobot.encode import encode
 from tests.checkpoints import FEATURES, SMALL_GR00T
 from tests.checkpoints import SHIPPED as SHIPPED_POLICY
-from tests.tools import generated, options, python, run
+from tests.tools import generated, lerobot_train, options, python, run
 
 N_EPISODES = 2
 N_FRAMES = 30
 FPS = 10
 SIZE = 48
+NEW = {"type": "obact"}
 TINY = {
     "dim": 16,
     "n_heads": 2,
@@ -56,16 +57,6 @@ TINY = {
     "relative_dims": 2,
 }
 HAND = {name: FEATURES[name] for name in ("input_features", "output_features")}
-
-
-def lerobot_train(root: Path, out: Path, policy: dict[str, object], **given: object) -> Path:
-    """Train for two steps with options of the policy, and others; return the checkpoint."""
-    start = {} if "path" in policy else {"type": "obact"}
-    told = {f"policy.{key}": value for key, value in (start | policy).items()}
-    told |= {"dataset.repo_id": "local/tiny", "dataset.root": root, "output_dir": out, "seed": 1}
-    told |= {"steps": 2, "batch_size": 2, "save_freq": 2, "num_workers": 0, "log_freq": 1} | given
-    run(["lerobot-train", *options(told)])
-    return out / "checkpoints/last/pretrained_model"
 
 
 @pytest.fixture(scope="module")
@@ -176,7 +167,7 @@ def test_the_defaults_fit_any_dataset(
         source = LeRobotDataset("local/tiny", root=push_root)
         modify_features(source, remove_features=left_out, output_dir=root)
     bare = {"device": "cpu", "push_to_hub": False} | head
-    policy = ObActPolicy.from_pretrained(lerobot_train(root, tmp_path / "out", bare))
+    policy = ObActPolicy.from_pretrained(lerobot_train(root, tmp_path / "out", NEW | bare))
     config = policy.config
     assert (config.encoder, config.freeze_encoder, config.forecasts) == ("conv", False, False)
     assert config.embodiment.fps == FPS
@@ -185,7 +176,7 @@ def test_the_defaults_fit_any_dataset(
 
 
 def test_it_learns_from_recorded_episodes_with_the_target_s_path(hand_root: Path, tmp_path: Path):
-    checkpoint = lerobot_train(hand_root, tmp_path / "out", TINY | RECORDED)
+    checkpoint = lerobot_train(hand_root, tmp_path / "out", NEW | TINY | RECORDED)
     policy = ObActPolicy.from_pretrained(checkpoint)
     config = policy.config
     assert config.forecasts
@@ -280,13 +271,13 @@ def test_a_camera_whose_pose_it_would_not_find_is_refused(hand_root: Path):
 
 
 def test_training_goes_on_and_begins_from_a_checkpoint(push_root: Path, tmp_path: Path):
-    first = lerobot_train(push_root, tmp_path / "first", TINY)
+    first = lerobot_train(push_root, tmp_path / "first", NEW | TINY)
     words = {"config_path": first / "train_config.json", "resume": True, "steps": 4}
     run(["lerobot-train", *options(words)])
     state = tmp_path / "first/checkpoints/000004/training_state/training_step.json"
     assert json.loads(state.read_text())["step"] == 4
 
-    slow = {"path": first, "optimizer_lr": 1e-12, "push_to_hub": False}
+    slow = {"path": first, "optimizer_lr": 1e-12}
     tuned = load_file(lerobot_train(push_root, tmp_path / "tuned", slow) / "model.safetensors")
     began = load_file(first / "model.safetensors")
     weights = [name for name in began if not name.startswith("average.")]
@@ -396,13 +387,13 @@ CHANGED = {"dataset.image_transforms.enable": True}
 def test_a_frozen_encoder_refuses_images_that_are_changed(image_root: Path, tmp_path: Path):
     frozen = TINY | RECORDED | {"n_future_steps": 0}
     with pytest.raises(ValueError, match=r"image_transforms.enable is true, but must be false"):
-        lerobot_train(image_root, tmp_path / "out", frozen, **CHANGED)
+        lerobot_train(image_root, tmp_path / "out", NEW | frozen, **CHANGED)
 
 
 def test_an_encoder_that_is_trained_learns_from_images_that_are_changed(
     push_root: Path, tmp_path: Path
 ):
-    lerobot_train(push_root, tmp_path / "out", TINY, **CHANGED)
+    lerobot_train(push_root, tmp_path / "out", NEW | TINY, **CHANGED)
 
 
 def fine_tuned(checkpoint: Path, root: Path, **changes: object) -> ObActPolicy:
