@@ -260,13 +260,13 @@ def test_a_recording_holds_the_dense_reward_of_the_environment(capture: str):
 
 
 def test_closing_further_near_the_target_is_worth_more_until_the_grasp_is_one():
-    opened = np.zeros(15)
-    reference = np.full(15, 1.0)
     shares = np.array([0.0, 0.4, 0.8, 0.9, 1.2, 1.5])
-    near = potential(np.full(6, 0.01), closure(shares[:, None] * reference, opened, reference))
+    joints = np.tile(shares[:, None], 15)
+    closed = closure(joints, np.zeros(15), np.ones(15))
+    near = potential(np.full(6, 0.01), closed)
     assert (np.diff(near)[:3] > 0.05).all()
     assert near[3] == near[4] > near[5]
-    far = potential(np.full(6, 1.0), closure(shares[:, None] * reference, opened, reference))
+    far = potential(np.full(6, 1.0), closed)
     assert np.ptp(far) < 1e-3 < np.ptp(near), "far away a fist earns nothing"
     assert potential(np.zeros(1), np.ones(1)) == 1.0
 

@@ -19,7 +19,7 @@ from dynahoi_lerobot.evaluate.checkpoint import PolicyError, checked_folder, tra
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.generate.actor import actor_name
-from tests.checkpoints import RENAMES, renamed_act, tiny_adapter
+from tests.checkpoints import RENAMES, observation, renamed_act, tiny_adapter
 from tests.env.test_lerobot_plugin import through_lerobot
 from tests.tools import dynahoi, edit_json, generated, lerobot_train
 
@@ -61,7 +61,7 @@ def test_an_adapter_acts_as_lerobot_makes_it_act(adapter: Path, monkeypatch) -> 
     theirs = make_policy(config, env_cfg=DynahoiEnvConfig(image_size=32)).eval()
     ours = PolicyAgent(str(adapter))._policy
     plain = PolicyAgent("base")._policy
-    acted = [policy.select_action(gray(config)) for policy in (theirs, ours, plain)]
+    acted = [policy.select_action(observation(config)) for policy in (theirs, ours, plain)]
     torch.testing.assert_close(acted[0], acted[1], atol=0, rtol=0)
     assert not torch.allclose(acted[0], acted[2]), "the adapter changes something"
 
@@ -77,14 +77,8 @@ def test_an_adapter_of_a_checkpoint_with_an_average_adapts_the_average(actor, tm
         policy.save_pretrained(shutil.copytree(actor, tmp_path / name))
         policy.keep_average()
         adapted = PolicyAgent(str(tiny_adapter(tmp_path / name, tmp_path / f"{name}_adapter")))
-        acted.append(adapted._policy.select_action(gray(config)))
+        acted.append(adapted._policy.select_action(observation(config)))
     torch.testing.assert_close(*acted, atol=0, rtol=0)
-
-
-def gray(config: PreTrainedConfig) -> dict[str, torch.Tensor]:
-    """An observation."""
-    inputs = config.input_features
-    return {key: torch.full((1, *inputs[key].shape), 0.5) for key in inputs}
 
 
 def test_the_base_is_found_from_any_folder(adapter: Path, monkeypatch, tmp_path) -> None:

@@ -31,7 +31,7 @@ from torch.utils.data import DataLoader
 
 from dynahoi_lerobot.dataset import episode_column
 from dynahoi_lerobot.encode import encode
-from tests.checkpoints import FEATURES, SMALL_GR00T
+from tests.checkpoints import FEATURES, SMALL_GR00T, TINY_OBACT, observation
 from tests.checkpoints import SHIPPED as SHIPPED_POLICY
 from tests.tools import generated, lerobot_train, options, python, run
 
@@ -40,20 +40,12 @@ N_FRAMES = 30
 FPS = 10
 SIZE = 48
 NEW = {"type": "obact"}
-TINY = {
-    "dim": 16,
-    "n_heads": 2,
-    "width": 32,
-    "n_points": 4,
+TINY = TINY_OBACT | {
     "horizon": 4,
     "n_action_steps": 2,
     "n_obs_steps": 3,
     "device": "cpu",
     "push_to_hub": False,
-    "head_options": {"width": 16},
-    "encoder": "conv",
-    "encoder_options": {"channels": 8},
-    "freeze_encoder": False,
     "relative_dims": 2,
 }
 HAND = {name: FEATURES[name] for name in ("input_features", "output_features")}
@@ -113,9 +105,7 @@ def features_of(root: Path) -> dict[str, PolicyFeature]:
 
 
 def step(policy: ObActPolicy, n: int = 2, seed: int = 0) -> dict[str, torch.Tensor]:
-    generator = torch.Generator().manual_seed(seed)
-    inputs = policy.config.input_features
-    return {key: torch.rand(n, *inputs[key].shape, generator=generator) for key in inputs}
+    return observation(policy.config, n, seed)
 
 
 def at(time_s: float, batch: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:

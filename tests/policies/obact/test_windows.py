@@ -17,7 +17,7 @@ from lerobot_policy_obact.windows import Donors, VirtualHands, Window
 from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.nn.attention import SDPBackend, sdpa_kernel
 
-from tests.checkpoints import FEATURES
+from tests.checkpoints import FEATURES, TINY_OBACT
 
 PAST = 13
 FUTURE = 24
@@ -61,16 +61,14 @@ def windows(
 def policy(**changes: object) -> ObActPolicy:
     torch.manual_seed(0)
     embodiment = Embodiment(calibration=CALIBRATION, palm_speed_m_s=0.5, capture="attach")
-    small = {"dim": 16, "n_heads": 2, "width": 32, "n_points": 4, "head_options": {"width": 16}}
     options = {
         "encoder": "eye",
-        "encoder_options": {"channels": 8},
         "freeze_encoder": True,
         "n_obs_steps": PAST,
         "n_future_steps": FUTURE,
         "embodiment": embodiment,
     }
-    return ObActPolicy(ObActConfig(**small | options | FEATURES | changes))
+    return ObActPolicy(ObActConfig(**TINY_OBACT | options | FEATURES | changes))
 
 
 def hands(actor: ObActPolicy | None = None) -> VirtualHands:
