@@ -10,6 +10,7 @@ import yaml
 
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import CAMERA_KEY, COMMAND_NAMES, FEATURES, privileged_features
+from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.dataset import (
     episode_column,
     frame_column,
@@ -180,10 +181,7 @@ def test_merge_refuses_datasets_of_other_options_and_names_the_column(tmp_path, 
 def test_merge_refuses_versions_of_the_benchmark(tmp_path):
     old = tmp_path / "old"
     new = write(tmp_path / "new", range(1))
-    made = varied_episode(1)
-    write_episodes(
-        old, [dataclasses.replace(made, meta=dataclasses.replace(made.meta, benchmark="v0"))]
-    )
+    write_episodes(old, [changed(varied_episode(1), {"benchmark": "v0"})])
     with pytest.raises(ValueError, match="'v0'"):
         merge([old, new], tmp_path / "merged")
     assert not (tmp_path / "merged").exists()

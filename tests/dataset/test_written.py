@@ -1,6 +1,5 @@
 """What the writer says about random small recordings is what their frames give, read by pandas."""
 
-import dataclasses
 import json
 import math
 from collections.abc import Sequence
@@ -15,6 +14,7 @@ from hypothesis import strategies as st
 
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import CAMERA_KEY
+from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.dataset.columns import dataset_features
 from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.dataset.video import Encoding, stored_packets
@@ -29,7 +29,7 @@ Statistics = dict[str, np.ndarray]
 
 def recorded(seed: int, frames: int, task: str, image_size: int | None) -> Episode:
     episode = synthetic_episode(seed, frames=frames, image_size=image_size)
-    return dataclasses.replace(episode, meta=dataclasses.replace(episode.meta, task=task))
+    return changed(episode, {"task": task})
 
 
 @settings(max_examples=12, deadline=None)

@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.core.reading import LeftOut, ReadError
 from dynahoi_lerobot.evaluate.compare import compare
 from dynahoi_lerobot.evaluate.results import (
@@ -41,7 +42,7 @@ def episodes(count: int = 6):
         episode = synthetic_episode(
             seed, frames=40 + seed, image_size=None, miss_m=0.05 * (seed % 3 == 0)
         )
-        yield replace(episode, meta=replace(episode.meta, motion=("constant", "lob")[seed % 2]))
+        yield changed(episode, {"motion": ("constant", "lob")[seed % 2]})
 
 
 @pytest.fixture
@@ -119,9 +120,7 @@ def test_an_interrupted_run_resumes_from_the_episodes_that_both_files_hold(
 
 
 def test_metrics_that_do_not_apply_are_null(tmp_path: Path):
-    contact = [
-        replace(episode, meta=replace(episode.meta, capture="contact")) for episode in episodes(3)
-    ]
+    contact = [changed(episode, {"capture": "contact"}) for episode in episodes(3)]
     folder = tmp_path / "contact"
     write_results(folder, contact, run_info(capture="contact"))
     head = json.loads((folder / "metrics.json").read_text())

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.evaluate.rows import STRATA, episode_row
 from dynahoi_lerobot.evaluate.summary import Estimate, bootstrap, bootstrap_means, wilson
@@ -23,7 +24,7 @@ EPISODE = synthetic_episode(image_size=None)
 
 
 def label(stratum: str, **meta: object) -> str:
-    return STRATA[stratum].label(replace(EPISODE, meta=replace(EPISODE.meta, **meta)))
+    return STRATA[stratum].label(changed(EPISODE, meta))
 
 
 @pytest.mark.parametrize("name", ["tier", "periodicity", "category"])
@@ -107,8 +108,8 @@ def results(policy: str = "reach", capture: str = "attach") -> Results:
     rows = []
     for seed in range(4):
         episode = synthetic_episode(seed, image_size=None, miss_m=0.05 * (seed == 0))
-        meta = replace(episode.meta, capture=capture, motion=("constant", "lob")[seed % 2])
-        rows.append(episode_row(replace(episode, meta=meta)))
+        meta = {"capture": capture, "motion": ("constant", "lob")[seed % 2]}
+        rows.append(episode_row(changed(episode, meta)))
     return Results(Path("run"), run_info(policy, capture=capture), tuple(rows), ())
 
 
@@ -159,7 +160,7 @@ def played(metric: str, values: list[float], first_seed: int) -> Results:
     """Results with one value an episode."""
     episode = synthetic_episode(0, image_size=None)
     rows = [
-        episode_row(replace(episode, meta=replace(episode.meta, seed=seed))) | {metric: value}
+        episode_row(changed(episode, {"seed": seed})) | {metric: value}
         for seed, value in enumerate(values, first_seed)
     ]
     return Results(Path("run"), run_info("p"), tuple(rows), ())
