@@ -311,6 +311,8 @@ def test_the_closed_loop_teaches_forecast_and_head():
 
 def test_padded_actions_and_hidden_frames_do_not_count():
     actor = policy(forecast_weight=0.0)
+    for weight in actor.model.parameters():  # of which many are zero at first
+        weight.data += 0.05 * torch.randn_like(weight)
     window = windows(4)
     hidden = torch.arange(LENGTH).expand(4, LENGTH) < 6
     padded = torch.ones(4, 8)
