@@ -29,7 +29,7 @@ from tests.checkpoints import SHIPPED
 from tests.docs.playing import check_installation
 
 
-class Still:
+class StillServer:
     """A model server in the same process, whose hand holds still."""
 
     def __init__(self) -> None:
@@ -49,7 +49,7 @@ class Still:
         self.metrics = result["metrics"]
 
 
-class Moved(Still):
+class ExpertServer(StillServer):
     """The expert, who knows the episode."""
 
     def __init__(self, benchmark: DynahoiBenchmark) -> None:
@@ -61,8 +61,8 @@ class Moved(Still):
         return Intercept().act(batch.world_state(batch.observe(images=False)))[0]
 
 
-class ObAct(Still):
-    """The model server that ships, which gives as many actions as it shall."""
+class ObActServer(StillServer):
+    """The model server that ships."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -75,7 +75,7 @@ class ObAct(Still):
         return chunk[0]
 
 
-def run(benchmark: DynahoiBenchmark, kind: str, server: Still) -> Still:
+def run(benchmark: DynahoiBenchmark, kind: str, server: StillServer) -> StillServer:
     (task,) = (task for task in benchmark.get_tasks() if task["name"] == kind)
     episode = SyncEpisodeRunner().run_episode(
         benchmark, {**task, "episode_idx": 1}, server, recorder=NullEpisodeRecorder()
@@ -90,8 +90,8 @@ def test_a_server_sees_what_the_convention_says_and_catches_if_it_moves_as_the_e
         {"name": "lob", "suite": "projectile"},
         {"name": "planar", "suite": "pendulum"},
     ]
-    missed = run(benchmark, "planar", Still())
-    caught = run(benchmark, "planar", Moved(benchmark))
+    missed = run(benchmark, "planar", StillServer())
+    caught = run(benchmark, "planar", ExpertServer(benchmark))
     first = missed.observations[0]
     assert (first["images"]["ego"].shape, first["images"]["ego"].dtype) == ((32, 32, 3), np.uint8)
     assert first["states"].shape == (18,)
@@ -112,7 +112,7 @@ def test_how_fast_a_server_is_changes_nothing_that_obact_does(monkeypatch: pytes
     for delay_s in (0.05, 0.2):
         clock = itertools.count(100.0, delay_s)
         monkeypatch.setattr("time.monotonic", lambda clock=clock: next(clock))
-        played.append(run(benchmark, "constant", ObAct()))
+        played.append(run(benchmark, "constant", ObActServer()))
     prompt, slow = played
     assert prompt.actions[0].shape == (1, 18), "it sees every step"
     np.testing.assert_array_equal(prompt.actions, slow.actions)
