@@ -309,24 +309,32 @@ def test_the_closed_loop_teaches_forecast_and_head():
     assert min(pull[4.0]) > 1e-6
 
 
-def test_padded_actions_and_hidden_frames_do_not_count():
+def test_padded_actions_do_not_count():
     actor = policy(forecast_weight=0.0)
-    for weight in actor.model.parameters():  # of which many are zero at first
-        weight.data += 0.05 * torch.randn_like(weight)
-    window = windows(4)
-    hidden = torch.arange(LENGTH).expand(4, LENGTH) < 6
-    padded = torch.ones(4, 8)
-    padded[:, 3:] = 0
-    window = replace(window, action_weight=padded, frames=replace(window.frames, hidden=hidden))
-    torch.manual_seed(0)
-    known = window_losses(actor.model, window, None)["action"]
-    other = window.frames.sightings.clone()
-    other[:, :6] = 9.0
+    weight = torch.ones(4, 8)
+    weight[:, 3:] = 0
+    window = replace(windows(4), action_weight=weight)
     actions = window.actions.clone()
     actions[:, 3:] = 9.0
-    window = replace(window, actions=actions, frames=replace(window.frames, sightings=other))
-    torch.manual_seed(0)
-    torch.testing.assert_close(window_losses(actor.model, window, None)["action"], known)
+    losses = []
+    for one in (window, replace(window, actions=actions)):
+        torch.manual_seed(0)
+        losses.append(window_losses(actor.model, one, None)["action"])
+    torch.testing.assert_close(*losses)
+
+
+def test_hidden_frames_do_not_count():
+    model = policy().model
+    hidden = torch.arange(LENGTH).expand(4, LENGTH) < 6
+    frames = replace(windows(4).frames, hidden=hidden)
+    sightings = frames.sightings.clone()
+    sightings[:, :6] = 9.0
+    rows = torch.tensor([[PAST - 1, LENGTH - 1]]).expand(4, -1)
+    known, other = (
+        model.encode_history(one, rows) for one in (frames, replace(frames, sightings=sightings))
+    )
+    torch.testing.assert_close(other.places, known.places)
+    torch.testing.assert_close(other.features, known.features)
 
 
 def test_a_training_step_mixes_no_devices():
