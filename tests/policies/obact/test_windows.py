@@ -38,8 +38,8 @@ def teacher() -> Teacher:
 def windows(
     b: int = 64, error: torch.Tensor | float = 0.0, begin: int = 5, length: int = LENGTH
 ) -> Window:
-    """Windows in which hands at rest watch targets pass in straight lines, all of them in view;
-    the eye's errors are (b, length, 3).
+    """Windows in which hands at rest watch targets pass in straight lines, all of them in view, with
+    an error of the eye.
     """
     generator = torch.Generator().manual_seed(0)
     start = torch.tensor([0.4, 0.0, 0.0]) + 0.02 * torch.randn(b, 1, 3, generator=generator)
@@ -79,24 +79,31 @@ def hands(actor: ObActPolicy | None = None) -> VirtualHands:
 # -- transplanted sightings ------------------------------------------------------------------------
 
 
+def seen_from(palm: torch.Tensor, window: Window) -> torch.Tensor:
+    """What palms at (B, L, 3) would have seen of the targets of windows, (B, L, 5)."""
+    path = window.targets.path[:, :LENGTH]
+    return Donors(window, [camera()]).seen(path, palm)[:, :, 0]
+
+
+def view_from(palm: torch.Tensor, window: Window) -> torch.Tensor:
+    """Where their targets truly are in the view, (B, L, 3)."""
+    return camera().seen(window.targets.path[:, :LENGTH] - palm)
+
+
 def test_from_another_palm_the_true_view_is_seen_with_the_error_of_the_same_frame():
-    error = torch.randn(64, 1, 3).expand(-1, LENGTH, -1) * 0.02
+    error = torch.randn(64, 1, 3) * 0.02
     window = windows(error=error)
     palm = window.frames.palm + torch.tensor([0.0, 0.02, -0.01])
-    path = window.targets.path[:, :LENGTH]
-    seen = Donors(window, [camera()]).seen(path, palm)[:, :, 0]
-    view = camera().seen(path - palm)
-    torch.testing.assert_close(seen[..., :2], (view + error)[..., :2], atol=1e-4, rtol=0)
+    seen = seen_from(palm, window)
+    wanted = (view_from(palm, window) + error)[..., :2]
+    torch.testing.assert_close(seen[..., :2], wanted, atol=1e-4, rtol=0)
     assert (seen[..., 3:] == -2).all(), "and is as sure of it"
 
 
 def test_errors_of_the_depth_grow_with_the_distance():
-    error = torch.tensor([0.0, 0.0, 0.1]).expand(64, LENGTH, 3)
-    window = windows(error=error)
-    path = window.targets.path[:, :LENGTH]
+    window = windows(error=torch.tensor([0.0, 0.0, 0.1]))
     far = window.frames.palm - torch.tensor([0.1, 0.0, 0.0])
-    seen = Donors(window, [camera()]).seen(path, far)[:, :, 0, 2]
-    found = seen - camera().seen(path - far)[..., 2]
+    found = seen_from(far, window)[..., 2] - view_from(far, window)[..., 2]
     assert (found > 0.1).all()
     assert (found < 0.2).all()
 
@@ -107,8 +114,7 @@ def test_what_was_seen_of_nothing_is_seen_again_where_the_target_is_out_of_view(
     nothing = torch.full_like(window.frames.sightings, 0.3)
     window = replace(window, targets=behind, frames=replace(window.frames, sightings=nothing))
     palm = window.frames.palm + 0.1 * torch.randn(64, 1, 3)
-    seen = Donors(window, [camera()]).seen(behind.path[:, :LENGTH], palm)
-    assert (seen == 0.3).all()
+    assert (seen_from(palm, window) == 0.3).all()
 
 
 def test_frames_after_the_catch_lend_no_errors():
@@ -116,9 +122,9 @@ def test_frames_after_the_catch_lend_no_errors():
     error[:, 20:] = 5.0  # what the eye makes of a target in the hand
     window = windows(error=error)
     window = replace(window, targets=replace(window.targets, free=torch.full((64,), 20)))
-    path = window.targets.path[:, :LENGTH]
-    seen = Donors(window, [camera()]).seen(path, window.frames.palm)[:, :, 0, :3]
-    torch.testing.assert_close(seen, camera().seen(path), atol=1e-3, rtol=0)
+    palm = window.frames.palm
+    seen = seen_from(palm, window)[..., :3]
+    torch.testing.assert_close(seen, view_from(palm, window), atol=1e-3, rtol=0)
 
 
 # -- hands -----------------------------------------------------------------------------------------
