@@ -38,8 +38,8 @@ def teacher() -> Teacher:
 def windows(
     b: int = 64, error: torch.Tensor | float = 0.0, begin: int = 5, length: int = LENGTH
 ) -> Window:
-    """Windows in which hands at rest watch targets pass in straight lines, all of them in view, with
-    an error of the eye.
+    """Windows in which hands at rest watch targets pass in straight lines, all of them in view; the
+    eye errs by ``error``.
     """
     generator = torch.Generator().manual_seed(0)
     start = torch.tensor([0.4, 0.0, 0.0]) + 0.02 * torch.randn(b, 1, 3, generator=generator)
