@@ -34,8 +34,8 @@ def test_the_ray_is_that_of_the_cell_attended_to_and_of_two_targets_one_is_looke
     looking = SpatialAttention(4)
     torch.nn.init.zeros_(looking.query.weight)
     looking.query.weight[0, 0] = 40.0
-    ray, there, heat = looking(bright(2, 5))
-    assert ray[0].tolist() == pytest.approx([0.375, 0.375], abs=1e-4)
+    ray, there, heat = looking(bright(7, 7))
+    assert ray[0].tolist() == pytest.approx([0.875, -0.875], abs=1e-4)
     assert there[0].tolist() == pytest.approx([1.0, 0.0, 0.0, 0.0], abs=1e-4)
     assert heat.exp().sum() == pytest.approx(1)
     ray, _, _ = looking(bright(1, 1) + 0.9 * bright(6, 6))
