@@ -26,6 +26,16 @@ SMALL_GR00T = {
     "dropout": 0.0,
 }
 """Options of ObAct's head gr00t."""
+TINY_OBACT = {
+    "dim": 16,
+    "n_heads": 2,
+    "width": 32,
+    "n_points": 4,
+    "head_options": {"width": 16},
+    "encoder": "conv",
+    "encoder_options": {"channels": 8},
+    "freeze_encoder": False,
+}
 FEATURES = {
     "input_features": {
         "observation.images.ego": PolicyFeature(FeatureType.VISUAL, (3, 32, 32)),
@@ -38,6 +48,13 @@ FEATURES = {
     "device": "cpu",
     "push_to_hub": False,
 }
+
+
+def observation(config: PreTrainedConfig, n: int = 1, seed: int = 0) -> dict[str, torch.Tensor]:
+    """Random images and states of ``n`` environments."""
+    generator = torch.Generator().manual_seed(seed)
+    inputs = config.input_features
+    return {key: torch.rand(n, *inputs[key].shape, generator=generator) for key in inputs}
 
 
 def saved(
@@ -98,21 +115,7 @@ def tiny_obact(folder: Path) -> Path:
     """Write an ObAct for images of 32 pixels, which sees six frames and executes half of its chunks
     of eight.
     """
-    small = {
-        "dim": 16,
-        "n_heads": 2,
-        "width": 32,
-        "n_points": 4,
-        "head_options": {"width": 16},
-        "ema_decay": 0.0,
-    }
-    small |= {
-        "encoder": "conv",
-        "encoder_options": {"channels": 8},
-        "freeze_encoder": False,
-        "horizon": 8,
-    }
-    small |= {"n_obs_steps": 6, "n_action_steps": 4}
+    small = TINY_OBACT | {"ema_decay": 0.0, "horizon": 8, "n_obs_steps": 6, "n_action_steps": 4}
     return saved(ObActConfig(**small, **FEATURES), folder)
 
 

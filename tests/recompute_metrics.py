@@ -1,5 +1,5 @@
-"""Computes the paper's seven metrics from a dataset's parquet files, with nothing but pandas, numpy
-and pyarrow.
+"""Computes the paper's seven metrics from a dataset's parquet files, with nothing but pandas and
+numpy.
 
 It is written from the definitions of the paper (Section "Evaluation metrics" and Appendix
 "Evaluation Criteria") and imports nothing of the package, so it is also an example of how others
@@ -9,12 +9,10 @@ can read the dataset::
 """
 
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import pyarrow.parquet as pq
 
 UNIT_M = 0.1
 RADIUS_M = {"attach": 0.03, "attach_lenient": 0.1, "contact": 0.03}
@@ -33,40 +31,19 @@ def metrics(root: Path) -> pd.DataFrame:
     S_gra is NaN where the target was never localized, and under the capture rule contact. E_loc
     and E_gra are in u (0.1 m).
     """
+    keys = ["episode_index", "frame_index"]
+    episodes = pd.read_parquet(root / "meta/episodes").merge(
+        pd.read_parquet(root / "meta/privileged_episodes"), on=keys[0]
+    )
+    frames = pd.read_parquet(root / "data").merge(
+        pd.read_parquet(root / "meta/privileged"), on=keys
+    )
+    facts = episodes.set_index(keys[0])
     rows = {
-        episode["episode_index"]: _metrics(episode, frames) for episode, frames in episodes_of(root)
+        index: _metrics(facts.loc[index], shown)
+        for index, shown in frames.sort_values(keys).groupby(keys[0])
     }
     return pd.DataFrame.from_dict(rows, orient="index")
-
-
-def episodes_of(root: Path) -> Iterator[tuple[pd.Series, pd.DataFrame]]:
-    """Yield each episode's facts and constants, and its frames with their privileged columns."""
-    keys = ["episode_index", "frame_index"]
-    episodes = _table(root / "meta/episodes").merge(
-        _table(root / "meta/privileged_episodes"), on=keys[:1]
-    )
-    frames = _table(root / "data").merge(_table(root / "meta/privileged"), on=keys)
-    for index, rows in frames.sort_values(keys).groupby(keys[0]):
-        yield episodes.set_index(keys[0], drop=False).loc[index], rows
-
-
-def fingertip_distance_m(episode: pd.Series, frames: pd.DataFrame) -> np.ndarray:
-    """Return (T,) the least distance of a fingertip to the object's surface [m], 0 inside, from
-    poses and solids.
-    """
-    tips = np.stack(frames["fingertips"]).reshape(-1, 5, 6)[..., :3].astype(float)
-    pose = np.stack(frames["target.pose"]).astype(float)
-    local = np.einsum(
-        "tij,tfi->tfj", _rotation(pose[:, 3:]), tips - pose[:, None, :3]
-    )  # object's frame
-    solids = np.stack(episode["object_primitives"]).astype(float)
-    return np.maximum(np.min([_surface(local, solid) for solid in solids], axis=0).min(axis=1), 0.0)
-
-
-def _table(folder: Path) -> pd.DataFrame:
-    return pd.concat(
-        [pq.read_table(path).to_pandas() for path in sorted(folder.glob("*/*.parquet"))]
-    )
 
 
 def _metrics(episode: pd.Series, frames: pd.DataFrame) -> dict[str, float]:
@@ -122,43 +99,6 @@ def linearity(path: np.ndarray) -> float:
     moving = lengths > 0
     cosines = steps[moving] @ way / (lengths[moving] * np.linalg.norm(way))
     return float(cosines.sum() / len(steps))
-
-
-def _rotation(quat: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) rotation matrices of quaternions wxyz."""
-    w, x, y, z = np.moveaxis(quat / np.linalg.norm(quat, axis=-1, keepdims=True), -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
-
-
-def _surface(points: np.ndarray, solid: np.ndarray) -> np.ndarray:
-    """Signed distance (...) of points (..., 3) in the object's frame to a solid, by MuJoCo's geom
-    type [m].
-    """
-    kind = int(solid[0])
-    size = solid[1:4]
-    p = (points - solid[4:7]) @ _rotation(solid[7:])
-    radial = np.hypot(p[..., 0], p[..., 1])
-    if kind == 2:  # sphere
-        return np.linalg.norm(p, axis=-1) - size[0]
-    if kind == 3:  # capsule
-        return np.hypot(radial, np.maximum(np.abs(p[..., 2]) - size[1], 0)) - size[0]
-    if kind == 4:  # ellipsoid, to first order
-        scaled = np.linalg.norm(p / size, axis=-1)
-        gradient = np.linalg.norm(p / size**2, axis=-1)
-        return scaled * (scaled - 1) / gradient
-    beyond = (
-        np.stack([radial - size[0], np.abs(p[..., 2]) - size[1]], axis=-1)
-        if kind == 5
-        else np.abs(p) - size
-    )
-    return np.linalg.norm(np.maximum(beyond, 0), axis=-1) + np.minimum(
-        beyond.max(axis=-1), 0
-    )  # cylinder, box
 
 
 if __name__ == "__main__":

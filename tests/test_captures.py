@@ -28,7 +28,7 @@ from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.sampler import sample_spec, sample_specs
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts, no_contacts
 from dynahoi_lerobot.world.batch import WorldBatch
-from tests.world.playing import SMALL, world
+from tests.world.playing import SMALL, wait, world
 
 HOME_W = np.array([0.0, 0.0, 1.1])
 POSE_DRIFT_M = 1e-4
@@ -89,38 +89,37 @@ def test_a_welded_target_moves_with_the_hand_as_it_lies(specs: list[EpisodeSpec]
     while not batch.localized[0]:
         batch.step(batch.executed)
     position, rotation = relative_pose(batch)
-    farthest = 0.0
-    start = batch.state[0, :3].copy()
+    way = []
     for k in range(40):
         command = batch.executed.copy()
-        command[0, :3] += (0.06 * np.sin(k / 3), 0.05 * np.cos(k / 4), 0.03 * np.sin(k / 2))
+        command[0, :3] += np.sin(k / np.array([3, 4, 2])) * (0.06, 0.05, 0.03)
         command[0, 3:] = 0.5 + 0.5 * np.sin(k / 5)
         batch.step(command)
+        way.append(batch.state[0, :3].copy())
         now, turned = relative_pose(batch)
         np.testing.assert_allclose(now, position, atol=POSE_DRIFT_M)
         np.testing.assert_allclose(turned, rotation, atol=POSE_DRIFT_RAD)
-        farthest = max(farthest, float(np.linalg.norm(batch.state[0, :3] - start)))
-    assert farthest > 0.2, "the hand must have moved"
+    assert np.ptp(way, axis=0).max() > 0.2, "the hand must have moved"
 
 
 def test_a_welded_target_leaves_its_string_and_its_table(specs: list[EpisodeSpec]):
     """A pendulum, a rolling and a struck target follow the hand upwards for half a meter."""
-    chosen = [
-        next(s for s in specs if s.motion.name == kind) for kind in ("planar", "ramp", "struck")
+    near = [
+        replace(spec, home_pos_w=spec.target_path_w[spec.window_frames + 2])
+        for spec in specs[:22]
+        if spec.motion.name in ("planar", "ramp", "struck")
     ]
-    near = [replace(spec, home_pos_w=spec.target_path_w[spec.window_frames + 2]) for spec in chosen]
     batch = world(near, control_class="unlimited")
-    for _ in range(max(spec.window_frames for spec in chosen) + 5):
+    wait(batch)
+    for _ in range(5):
         batch.step(batch.executed)
     assert batch.localized.all()
     before = batch.target_pose_h[:, 2].copy()
     for _ in range(10):
         batch.step(batch.executed + np.eye(18)[2] * 0.05)
     np.testing.assert_allclose(batch.target_pose_h[:, 2] - before, 0.5, atol=0.005)
-    assert (
-        np.linalg.norm(batch.target_pose_h[:, :3] - batch.state[:, :3], axis=1).max()
-        < LOCALIZATION_RADIUS_M
-    )
+    offset = batch.target_pose_h[:, :3] - batch.state[:, :3]
+    assert np.linalg.norm(offset, axis=1).max() < LOCALIZATION_RADIUS_M
 
 
 @pytest.mark.parametrize(
@@ -180,20 +179,19 @@ def test_success_is_s_joint_whoever_plays(specs: list[EpisodeSpec], capture: str
 
 
 def test_weld_grasp_and_clock_follow_the_wider_radius(specs: list[EpisodeSpec]):
-    strict, lenient = (played(specs[3], capture, 0.06) for capture in ("attach", "attach_lenient"))
-    missed = measure(strict)
-    caught = measure(lenient)
+    missed = measure(played(specs[3], "attach", 0.06))
     assert [missed[name] for name in ("S_loc", "S_gra", "S_joint", "R_time")] == [0, None, 0, 0]
+    lenient = played(specs[3], "attach_lenient", 0.06)
+    caught = measure(lenient)
     assert [caught[name] for name in ("S_loc", "S_gra", "S_joint")] == [1, 1, 1]
     first = lenient.first_localized
     assert caught["R_time"] == pytest.approx(
         1 - (first - lenient.meta.window_frames) / lenient.meta.length_frames
     )
     assert lenient.palm_distance_m[first] < LENIENT_RADIUS_M
-    assert (lenient.stage, lenient.success, strict.stage) == ("captured", True, "missed")
+    assert lenient.stage == "captured"
     offset = lenient.target_pose_h[first:, :3] - lenient.palm_pos_h[first:]
     assert np.linalg.norm(offset - offset[0], axis=1).max() < 1e-3, "it is welded"
-    assert lenient.meta.capture == "attach_lenient"
 
 
 RECIPE = changed(SMALL, {"capture": "contact"})

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from lerobot.datasets import LeRobotDataset
 
-from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.features import IMAGE_PREFIX
 from dynahoi_lerobot.core.image_sensor import image_sensor
 from dynahoi_lerobot.dataset import episode_column, frame_column, read_episodes
@@ -17,13 +16,13 @@ from dynahoi_lerobot.encode import SIGHTINGS_PREFIX, encode
 from dynahoi_lerobot.evaluate.checkpoint import trained_for
 from dynahoi_lerobot.world.detector import Detector
 from tests.conftest import Once
-from tests.tools import flip_byte, generated, options, run
+from tests.tools import dynahoi, flip_byte, generated, lerobot_train
 
 
 @pytest.fixture(scope="module")
 def encoded(dataset: Path, once: Once) -> Path:
     def make(out: Path) -> Path:
-        assert main(["encode", str(dataset), str(out)]) == 0
+        dynahoi("encode", dataset, out)
         return out
 
     return once("encoded", make)
@@ -75,16 +74,16 @@ def test_it_is_signed_anew(dataset: Path, encoded: Path):
 
 
 def test_verify_checks_what_is_left_of_it(encoded: Path, tmp_path: Path, capsys):
-    assert main(["verify", str(encoded)]) == 0
+    dynahoi("verify", encoded)
     assert "its images were encoded" in capsys.readouterr().out
     root = shutil.copytree(encoded, tmp_path / "changed")
     flip_byte(next(root.glob("data/*/*.parquet")))
-    assert main(["verify", str(root)]) == 1
+    dynahoi("verify", root, code=1)
 
 
 def test_a_part_of_it_is_copied_and_its_card_names_the_numbers(encoded: Path, tmp_path: Path):
     out = tmp_path / "part"
-    assert main(["filter", str(encoded), "--out", str(out), "--drop", "0"]) == 0
+    dynahoi("filter", encoded, "--out", out, "--drop", "0")
     found = frame_column(out, SIGHTINGS_PREFIX + "ego")
     np.testing.assert_array_equal(
         found, frame_column(encoded, SIGHTINGS_PREFIX + "ego")[-len(found) :]
@@ -98,7 +97,7 @@ def test_a_part_of_it_is_copied_and_its_card_names_the_numbers(encoded: Path, tm
 @pytest.fixture(scope="module")
 def with_state(dataset: Path, once: Once) -> Path:
     def make(out: Path) -> Path:
-        assert main(["encode", str(dataset), str(out), "--environment-state"]) == 0
+        dynahoi("encode", dataset, out, "--environment-state")
         return out
 
     return once("encoded_state", make)
@@ -122,28 +121,15 @@ def test_the_environment_state_is_what_environments_show_of_the_same_images(
     assert np.ptp(found[:, :12], axis=0).min() > 0.01, "targets move"
 
 
-def test_what_was_seen_earlier_is_the_place_of_then(with_state: Path):
-    found = frame_column(with_state, "observation.environment_state")
-    length = 20
-    now = found[:length, :3]
-    for column, age in enumerate((0, 2, 4, 8)):
-        before = now[np.maximum(np.arange(length) - age, 0)]
-        np.testing.assert_array_equal(found[:length, 3 * column : 3 * column + 3], before)
-
-
 def test_act_learns_from_it_and_its_checkpoint_asks_environments_for_the_same(tmp_path: Path):
-    words = ("--image-size", "96", "--control-mode", "grasp")
-    root = generated(tmp_path / "images", *words, episodes=2)
+    root = generated(tmp_path / "images", "--image-size=96", "--control-mode=grasp")
     with_state = tmp_path / "encoded"
     encode(root, with_state, environment_state=True)
-    assert main(["verify", str(with_state)]) == 0
-    small = {"dim_model": 16, "n_heads": 2, "dim_feedforward": 16, "chunk_size": 4}
-    given = {f"policy.{key}": value for key, value in small.items()}
-    given |= {"config_path": Path(__file__).parents[1] / "recipes/train/act.yaml", "env": None}
-    given |= {"policy.device": "cpu", "num_workers": 0, "dataset.root": with_state}
-    given |= {"output_dir": tmp_path / "act", "steps": 2, "save_freq": 2, "batch_size": 4}
-    run(["lerobot-train", *options(given)])
-    told = trained_for(tmp_path / "act/checkpoints/last/pretrained_model")
+    dynahoi("verify", with_state)
+    small = {"dim_model": 16, "n_heads": 2, "dim_feedforward": 16, "chunk_size": 4, "device": "cpu"}
+    recipe = Path(__file__).parents[1] / "recipes/train/act.yaml"
+    given = {"config_path": recipe, "env": None}
+    told = trained_for(lerobot_train(with_state, tmp_path / "act", small, **given))
     assert told["environment_state"] == "eye"
 
 
@@ -161,6 +147,6 @@ def test_what_cannot_be_encoded_is_refused_in_a_sentence(
     out = tmp_path / "out"
     if not words:
         out.mkdir()
-    assert main(["encode", str(dataset), str(out), *words]) == 2
+    dynahoi("encode", dataset, out, *words, code=2)
     assert said in capsys.readouterr().err
     assert not [*tmp_path.glob("out/*")]

@@ -4,7 +4,8 @@ LeRobot.
 
 import ast
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from itertools import chain
 from pathlib import Path
 
 import pytest
@@ -93,25 +94,26 @@ HEAVY = {
 def imports() -> Iterator[tuple[str, str]]:
     """Yield (importing, imported) module of every import within the core.
 
-    Imports inside functions count, and so do modules that are imported by name, as the commands
-    are. Imports for type checkers alone do not.
+    Imports inside functions count; those for type checkers alone do not.
     """
     for path in sorted(PACKAGE.rglob("*.py")):
-        module = ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(
-            ".__init__"
-        )
-        for node in _run_time_nodes(ast.parse(path.read_text())):
-            if isinstance(node, ast.ImportFrom) and node.module:
-                yield module, node.module
-                yield from (
-                    (module, name)
-                    for alias in node.names
-                    if _is_module(name := f"{node.module}.{alias.name}")
-                )
-            elif isinstance(node, ast.Import):
-                yield from ((module, alias.name) for alias in node.names)
-            elif isinstance(node, ast.Constant) and _is_module(node.value):
-                yield module, str(node.value)
+        module = ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts)
+        for name in imported(_run_time_nodes(ast.parse(path.read_text()))):
+            yield module.removesuffix(".__init__"), name
+
+
+def imported(nodes: Iterable[ast.AST]) -> Iterator[str]:
+    """Yield the modules that nodes import, and those of the core that they name in a text, as the
+    commands are.
+    """
+    for node in nodes:
+        if isinstance(node, ast.ImportFrom) and node.module:
+            yield node.module
+            yield from filter(_is_module, (f"{node.module}.{alias.name}" for alias in node.names))
+        elif isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.Constant) and _is_module(node.value):
+            yield str(node.value)
 
 
 def _run_time_nodes(tree: ast.AST) -> Iterator[ast.AST]:
@@ -143,14 +145,15 @@ def test_rooms_import_only_rooms_before_them():
 
 def imports_from(packages: set[str], folder: Path, pattern: str) -> set[str]:
     """Return the modules below a folder that import any of the packages, without ``.py``."""
-    found = set()
-    for path in folder.glob(pattern):
-        for node in ast.walk(ast.parse(path.read_text())):
-            names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-            names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            if packages & {name.partition(".")[0] for name in names}:
-                found.add(path.relative_to(folder).with_suffix("").as_posix())
-    return found
+    return {
+        path.relative_to(folder).with_suffix("").as_posix()
+        for path in folder.glob(pattern)
+        if packages & {name.partition(".")[0] for name in imported(_nodes(path))}
+    }
+
+
+def _nodes(path: Path) -> Iterator[ast.AST]:
+    return ast.walk(ast.parse(path.read_text()))
 
 
 def test_policies_import_nothing_of_the_core_but_what_trains_an_eye():
@@ -165,15 +168,11 @@ def test_the_core_imports_no_policy():
 
 
 def test_what_lerobot_may_rename_is_imported_in_one_module():
-    folders = (PACKAGE, PACKAGE.parent / "envs")
-    found = set()
-    for path in (path for folder in folders for path in folder.rglob("*.py")):
-        if path.name == "lerobot_internals.py":
-            continue
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.ImportFrom) and f"{node.module}.".startswith("lerobot."):
-                found.add(node.module)
-    assert found <= DOCUMENTED
+    paths = {*PACKAGE.rglob("*.py"), *(PACKAGE.parent / "envs").rglob("*.py")}
+    paths -= {PACKAGE / "core" / "lerobot_internals.py"}
+    nodes = chain.from_iterable(map(_nodes, paths))
+    found = {f"{node.module}" for node in nodes if isinstance(node, ast.ImportFrom)}
+    assert {name for name in found if name.split(".")[0] == "lerobot"} <= DOCUMENTED
 
 
 def test_every_folder_is_a_room():

@@ -10,7 +10,6 @@ import mujoco_menagerie
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.cli import main as cli
 from dynahoi_lerobot.core.conventions import FINGERS, HAND_NAMES, JOINT_NAMES, PALM_DOF
 from dynahoi_lerobot.core.numerics import quat_to_matrix
 from dynahoi_lerobot.experts import EXPERTS
@@ -23,6 +22,7 @@ from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.scene import scene
 from dynahoi_lerobot.scene.scene import compile_scene
 from dynahoi_lerobot.world.batch import WorldBatch
+from tests.tools import dynahoi
 
 ROBOTS = {name: hand for name, hand in HANDS.items() if isinstance(hand, RobotHand)}
 every_robot = pytest.mark.parametrize("robot", ROBOTS)
@@ -137,7 +137,7 @@ def test_the_expert_catches_with_it(robot: str, capture: str) -> None:
 
 
 @every_robot
-def test_policies_see_the_same_columns_and_the_camera_sees_past_it(robot: str) -> None:
+def test_the_camera_sees_past_it(robot: str) -> None:
     bundled, batch = (
         WorldBatch(Rules(hand=hand, image_size=64), 11) for hand in ("capsule", robot)
     )
@@ -148,9 +148,6 @@ def test_policies_see_the_same_columns_and_the_camera_sees_past_it(robot: str) -
     assert (seen[1] >= seen[0]).mean() > 0.9
     shown = batch.cameras.segmentation()
     assert 0.03 < np.isin(shown, batch.scene.hand_geoms).mean() < 0.4
-    for name in ("state", "phase"):
-        one, other = (getattr(b.observe(images=False), name) for b in (batch, bundled))
-        assert (one.shape, one.dtype) == (other.shape, other.dtype)
 
 
 def test_without_network_or_copy_one_sentence_says_what_to_do(tmp_path, monkeypatch, capsys):
@@ -159,7 +156,7 @@ def test_without_network_or_copy_one_sentence_says_what_to_do(tmp_path, monkeypa
     monkeypatch.setenv("MENAGERIE_BASE_URL", tmp_path.as_uri())
     scene._compile.cache_clear()
     words = ["--policy", "hold", "--hand", "shadow", "--split", "test_small", "--episodes", "1"]
-    assert cli.main(["evaluate", *words]) == 2
+    dynahoi("evaluate", *words, code=2)
     message = capsys.readouterr().err
     assert "'shadow_hand'" in message
     assert "network" in message

@@ -29,6 +29,11 @@ def python(*words: object, cwd: Path | None = None, **environment: str) -> str:
     return done.stdout
 
 
+def dynahoi(*words: object, code: int = 0) -> None:
+    """Run ``dynahoi`` in this process; it must end with an exit code."""
+    assert main([str(word) for word in words]) == code
+
+
 def run(words: list[str]) -> None:
     """Run a command in this process, as its console script does."""
     from accelerate.state import AcceleratorState  # which takes long to import
@@ -52,6 +57,18 @@ def options(values: Mapping[str, object]) -> list[str]:
         f"--{name}={value if isinstance(value, str | Path) else json.dumps(value)}"
         for name, value in values.items()
     ]
+
+
+def lerobot_train(root: Path, out: Path, policy: Mapping[str, object], **given: object) -> Path:
+    """Train for two steps by LeRobot's command, with options of the policy and others; return the
+    checkpoint.
+    """
+    told = {"dataset.repo_id": "local/tiny", "dataset.root": root, "output_dir": out, "seed": 1}
+    told |= {"steps": 2, "batch_size": 2, "save_freq": 2, "num_workers": 0, "log_freq": 1}
+    told["policy.push_to_hub"] = False
+    told |= {f"policy.{key}": value for key, value in policy.items()}
+    run(["lerobot-train", *options(told | given)])
+    return out / "checkpoints/last/pretrained_model"
 
 
 @contextmanager
@@ -81,7 +98,7 @@ def install(site: Path, distribution: str, modules: dict[str, str]) -> None:
 
 def generated(root: Path, *words: str, episodes: int = 2) -> Path:
     """Generate a dataset of a few episodes by command, with further words."""
-    assert main(["generate", "--root", str(root), "--episodes", str(episodes), *words]) == 0
+    dynahoi("generate", "--root", root, "--episodes", episodes, *words)
     return root
 
 

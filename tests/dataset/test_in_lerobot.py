@@ -6,12 +6,13 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 import torch
 from datasets import load_dataset
 from lerobot.datasets.compute_stats import aggregate_stats
-from lerobot.datasets.dataset_tools import delete_episodes, merge_datasets, split_dataset
+from lerobot.datasets.dataset_tools import merge_datasets
 from lerobot.datasets.language_render import active_at
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot.datasets.video_utils import RGBEncoderConfig
@@ -68,11 +69,7 @@ def write_with_lerobot(root: Path, episodes: list[Episode], encoding) -> None:
         for frame in range(len(episode)):
             row = {key: np.asarray(values[frame]) for key, values in arrays.items()}
             dataset.add_frame(
-                row
-                | {
-                    "observation.images.ego": episode.images["ego"][frame],
-                    "task": episode.meta.task,
-                }
+                row | {IMAGES: episode.images["ego"][frame], "task": episode.meta.task}
             )
         dataset.save_episode()
     dataset.finalize()
@@ -95,15 +92,12 @@ def load(root: Path, name: str):
 
 def test_info_and_tasks_are_the_same(pair):
     ours, theirs = (load(root, "meta/info.json") for root in pair)
-    assert list(ours) == list(theirs)
-    if (image := theirs["features"]["observation.images.ego"])["dtype"] == "image":
+    if theirs["features"][IMAGES]["dtype"] == "image":
         theirs["video_path"] = None
-        assert "info" not in image
     assert ours == theirs
-    assert list(ours["features"]) == list(theirs["features"])
-    ours, theirs = (open_dataset(root).meta.tasks for root in pair)
-    assert ours.equals(theirs)
-    assert ours.index.name == theirs.index.name
+    for one, other in ((ours, theirs), (ours["features"], theirs["features"])):
+        assert list(one) == list(other), "in the same order"
+    pd.testing.assert_frame_equal(*(open_dataset(root).meta.tasks for root in pair))
 
 
 def test_frames_are_the_same(pair):
@@ -116,22 +110,16 @@ def test_frames_are_the_same(pair):
 
 
 def test_episode_rows_are_the_same_where_lerobot_has_them(pair):
-    tables = [pq.read_table(root / "meta/episodes/chunk-000/file-000.parquet") for root in pair]
-    places = [name for name in tables[1].column_names if not name.startswith("stats/")]
-    for name in places:
-        ours, theirs = (table[name].to_pylist() for table in tables)
-        assert ours == pytest.approx(theirs) if "timestamp" in name else ours == theirs
-    stats = [name for name in tables[1].column_names if name.startswith("stats/")]
-    assert set(stats) <= set(tables[0].column_names)
-    for name in stats:
-        assert tables[0].schema.field(name).type == tables[1].schema.field(name).type
-        ours, theirs = (np.array(table[name].to_pylist()) for table in tables)
-        # LeRobot computes in float32 and finds quantiles to within a 5000th of the range.
-        key = name.rsplit("/", 1)[0]
-        low, high = (np.array(tables[1][f"{key}/{end}"].to_pylist()) for end in ("min", "max"))
-        np.testing.assert_allclose(
-            ours, theirs, atol=3e-4 + np.max(high - low) / 4900, err_msg=name
-        )
+    """Their statistics are of the same types here; `test_written` computes them."""
+    ours, theirs = (
+        pq.read_table(root / "meta/episodes/chunk-000/file-000.parquet") for root in pair
+    )
+    for field in theirs.schema:
+        assert ours.schema.field(field.name).type == field.type
+        if not field.name.startswith("stats/"):
+            places = theirs[field.name].to_pylist()
+            wanted = pytest.approx(places) if "timestamp" in field.name else places
+            assert ours[field.name].to_pylist() == wanted, field.name
 
 
 def test_dataset_statistics_are_the_same_but_for_pinned_quantiles_of_columns(pair):
@@ -147,21 +135,11 @@ def test_dataset_statistics_are_the_same_but_for_pinned_quantiles_of_columns(pai
                 )
 
 
-def test_decoded_frames_are_the_same(pair):
-    ours, theirs = (open_dataset(root) for root in pair)
-    for index in (0, 19, 20, len(ours) - 1):
-        ours_frame, theirs_frame = (ds[index]["observation.images.ego"] for ds in (ours, theirs))
-        # The encoders' settings differ in key frames only, so lossy frames differ by a few levels.
-        assert float((ours_frame - theirs_frame).abs().mean()) < 2 / 255
-        assert float(ours[index]["timestamp"]) == float(theirs[index]["timestamp"])
-        assert ours[index]["task"] == theirs[index]["task"]
-
-
 LENGTHS = [20 + seed % 7 for seed in range(6)]
 
 
 def check_images(dataset, index: int, seed: int, frame: int) -> None:
-    image = np.moveaxis(dataset[index]["observation.images.ego"].numpy() * 255, -3, -1)
+    image = np.moveaxis(dataset[index][IMAGES].numpy() * 255, -3, -1)
     assert np.abs(image - varied_episode(seed).images["ego"][frame]).mean() < 6
 
 
@@ -179,27 +157,6 @@ def test_opens_and_its_episode_columns_can_be_filtered_and_read(dataset):
     assert (chosen.episodes, chosen.num_frames) == ([4, 5], LENGTHS[4] + LENGTHS[5])
     assert chosen.meta.episodes[4]["object"] == "ball"
     check_images(chosen, 0, 4, 0)
-
-
-def test_windows_over_time_stay_within_the_episode(dataset):
-    times = {"action": [0.0, 0.05, 0.1], "observation.images.ego": [-0.05, 0.0]}
-    opened = open_dataset(dataset, delta_timestamps=times)
-    start = LENGTHS[0]
-    last = LENGTHS[0] + LENGTHS[1] - 1
-    episode = varied_episode(1)
-    for index, actions, images in (
-        (start, [0, 1, 2], [0, 0]),
-        (start + 3, [3, 4, 5], [2, 3]),
-        (last, [LENGTHS[1] - 1] * 3, [LENGTHS[1] - 2, LENGTHS[1] - 1]),
-    ):
-        item = opened[index]
-        frame = index - start
-        np.testing.assert_array_equal(item["action"], episode.action[actions])
-        assert item["action_is_pad"].tolist() == [frame + i >= LENGTHS[1] for i in range(3)]
-        assert item["observation.images.ego_is_pad"].tolist() == [frame == 0, False]
-        for image, shown in zip(item["observation.images.ego"], images, strict=True):
-            levels = np.moveaxis(image.numpy() * 255, 0, -1)
-            assert np.abs(levels - episode.images["ego"][shown]).mean() < 6
 
 
 def test_merge(dataset, tmp_path):
@@ -235,12 +192,8 @@ def test_datasets_loads_the_frames_and_nothing_else_by_the_card(dataset, tmp_pat
 MEASURED = ("ego_depth", "side_segmentation")
 
 
-@pytest.fixture(scope="module")
-def measured(tmp_path_factory) -> Path:
-    return write(tmp_path_factory.mktemp("measured") / "d", range(3), views=("side", *MEASURED))
-
-
-def test_measurements_are_not_encoded_as_video(measured: Path):
+def test_measurements_are_not_encoded_as_video(tmp_path: Path):
+    measured = write(tmp_path / "d", range(3), views=("side", *MEASURED))
     opened = open_dataset(measured)
     keys = [f"observation.images.{view}" for view in MEASURED]
     assert opened.meta.image_keys == keys
@@ -249,31 +202,10 @@ def test_measurements_are_not_encoded_as_video(measured: Path):
         shown = varied_episode(seed, views=("side", *MEASURED)).images
         for view in MEASURED:
             np.testing.assert_array_equal(episode.images[view], shown[view])
-    for index, frame in ((0, 0), (LENGTHS[0] + 4, 4)):
-        episode = varied_episode(bool(index), views=("side", *MEASURED))
-        for key, view in zip(keys, MEASURED, strict=True):
-            image = np.moveaxis(opened[index][key].numpy() * 255, 0, -1).round()
-            np.testing.assert_array_equal(image, episode.images[view][frame])
+    image = np.moveaxis(opened[4][keys[0]].numpy() * 255, 0, -1).round()
+    shown = varied_episode(0, views=("side", *MEASURED)).images[MEASURED[0]]
+    np.testing.assert_array_equal(image, shown[4])
     assert verify(measured) == []
-
-
-def test_lerobot_edits_videos_and_images_side_by_side(measured: Path, tmp_path: Path):
-    source = open_dataset(measured)
-    delete_episodes(source, [0], tmp_path / "fewer", REPO)
-    split_dataset(source, {"one": [0], "two": [1, 2]}, tmp_path)
-    merge_datasets([source, source], REPO, tmp_path / "merged")
-    for name, seeds in {
-        "fewer": [1, 2],
-        "one": [0],
-        "two": [1, 2],
-        "merged": [0, 1, 2] * 2,
-    }.items():
-        edited = open_dataset(tmp_path / name)
-        assert edited.num_frames == sum(LENGTHS[seed] for seed in seeds)
-        wanted = varied_episode(seeds[-1], views=("side", *MEASURED)).images["ego_depth"][-1]
-        image = edited[len(edited) - 1]["observation.images.ego_depth"].numpy() * 255
-        np.testing.assert_array_equal(np.moveaxis(image, 0, -1).round(), wanted)
-        check_images(edited, len(edited) - 1, seeds[-1], -1)
 
 
 STATE = "observation.state"

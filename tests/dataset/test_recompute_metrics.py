@@ -33,9 +33,6 @@ RECIPES = {
     ),
     "contact": Recording.of(capture="contact", expert="pursuit", keep_failures=True),
 }
-POSITION_ERROR_M = 3e-6
-"""Of distances from poses in float32; ellipsoids divide by a gradient that vanishes towards their
-middle."""
 
 
 def generated(recording: Recording, root: Path) -> list[Episode]:
@@ -64,21 +61,13 @@ def assert_same(root: Path, episodes: list[Episode]) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", RECIPES)
-def test_a_dataset_with_failures_gives_the_same_metrics_and_fingertip_distances(
-    name: str, tmp_path: Path
-) -> None:
+def test_a_dataset_with_failures_gives_the_same_metrics(name: str, tmp_path: Path) -> None:
     assert "dynahoi" not in Path(recompute_metrics.__file__).read_text(), (
         "it knows nothing of the package"
     )
     episodes = generated(changed(RECIPES[name], {"image_size": 0}), tmp_path / "d")
     assert {episode.success for episode in episodes} == {True, False}
     assert_same(tmp_path / "d", episodes)
-    for facts, frames in recompute_metrics.episodes_of(tmp_path / "d"):
-        computed = recompute_metrics.fingertip_distance_m(facts, frames)
-        # a target that was knocked away is meters off, where float32 keeps fewer digits
-        np.testing.assert_allclose(
-            computed, frames["fingertip_distance"], rtol=1e-7, atol=POSITION_ERROR_M
-        )
 
 
 def test_hands_that_stand_still_give_the_same_metrics(tmp_path: Path) -> None:

@@ -1,6 +1,5 @@
 """What the writer says about random small recordings is what their frames give, read by pandas."""
 
-import dataclasses
 import json
 import math
 from collections.abc import Sequence
@@ -10,12 +9,12 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pandas as pd
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import CAMERA_KEY
+from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.dataset.columns import dataset_features
 from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.dataset.video import Encoding, stored_packets
@@ -30,7 +29,7 @@ Statistics = dict[str, np.ndarray]
 
 def recorded(seed: int, frames: int, task: str, image_size: int | None) -> Episode:
     episode = synthetic_episode(seed, frames=frames, image_size=image_size)
-    return dataclasses.replace(episode, meta=dataclasses.replace(episode.meta, task=task))
+    return changed(episode, {"task": task})
 
 
 @settings(max_examples=12, deadline=None)
@@ -61,33 +60,23 @@ def test_what_is_written_about_episodes_is_what_their_frames_give(
         check_statistics(root, episodes)
 
 
-def rows_of(root: Path) -> list[dict]:
-    return pd.read_parquet(root / "meta/episodes").to_dict("records")
-
-
 def check_places(root: Path, episodes: Sequence[Episode]) -> None:
-    """Where an episode's rows and images lie."""
-    frames = {path: len([*stored_packets(path)]) for path in root.glob("videos/*/*/*.mp4")}
-    seen = dict.fromkeys(frames, 0)
-    first = 0
-    for index, (row, episode) in enumerate(zip(rows_of(root), episodes, strict=True)):
-        length = len(episode)
-        assert row["episode_index"] == index
-        assert row["length"] == length
-        assert row["dataset_from_index"] == first
-        first += length
-        assert row["dataset_to_index"] == first
-        assert list(row["tasks"]) == [episode.meta.task]
-        place = f"chunk-000/file-{row['data/file_index']:03d}.parquet"
-        held = pd.read_parquet(root / "data" / place, columns=["episode_index"])
-        assert (held["episode_index"] == index).sum() == length
-        for path in seen:
-            key = path.parents[1].name
-            if path.stem == f"file-{row[f'videos/{key}/file_index']:03d}":
-                assert row[f"videos/{key}/from_timestamp"] == pytest.approx(seen[path] / 20)
-                seen[path] += length
-                assert row[f"videos/{key}/to_timestamp"] == pytest.approx(seen[path] / 20)
-    assert seen == frames
+    """Where an episode's rows and images lie; `test_writer` reads them there."""
+    rows = pd.read_parquet(root / "meta/episodes")
+    lengths = [len(episode) for episode in episodes]
+    ends = np.cumsum(lengths)
+    assert rows["episode_index"].tolist() == list(range(len(episodes)))
+    assert rows["length"].tolist() == lengths
+    assert rows["dataset_from_index"].tolist() == (ends - lengths).tolist()
+    assert rows["dataset_to_index"].tolist() == ends.tolist()
+    assert [list(tasks) for tasks in rows["tasks"]] == [[e.meta.task] for e in episodes]
+    for path in root.glob("videos/*/*/*.mp4"):
+        place = f"videos/{path.parents[1].name}"
+        held = rows[rows[f"{place}/file_index"] == int(path.stem.removeprefix("file-"))]
+        until = held["length"].cumsum()
+        np.testing.assert_allclose(held[f"{place}/from_timestamp"] * 20, until - held["length"])
+        np.testing.assert_allclose(held[f"{place}/to_timestamp"] * 20, until)
+        assert len([*stored_packets(path)]) == until.iloc[-1]
 
 
 def check_statistics(root: Path, episodes: Sequence[Episode]) -> None:
@@ -95,7 +84,7 @@ def check_statistics(root: Path, episodes: Sequence[Episode]) -> None:
     frames = pd.read_parquet(root / "data").sort_values("index")
     starts = np.cumsum([0, *map(len, episodes)])
     said = json.loads((root / "meta/stats.json").read_text())
-    rows = rows_of(root)
+    rows = pd.read_parquet(root / "meta/episodes").to_dict("records")
     for key, of_all in said.items():
         if key == CAMERA_KEY:
             continue

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tomllib
 from dataclasses import dataclass, field
-from importlib.metadata import entry_points
+from itertools import pairwise
 from pathlib import Path
 
 from tests.docs.documents import ROOT, Block
@@ -123,13 +123,8 @@ def small(words: list[str]) -> list[str]:
 
 def run_elsewhere(words: list[str], environment: dict[str, str]) -> None:
     """Run a command in a process of its own, because the Hub's client reads its settings once."""
-    (script,) = entry_points(group="console_scripts", name=words[0])
-    start = (
-        f"import sys; from {script.module} import {script.attr} as main; sys.argv[0] = "
-        f"{words[0]!r}; sys.exit(main())"
-    )
     kept = {name: value for name, value in os.environ.items() if not name.startswith("HF_")}
-    command = [sys.executable, "-c", start, *words[1:]]
+    command = [Path(sys.executable).with_name(words[0]), *words[1:]]
     done = subprocess.run(
         command, env=kept | environment, capture_output=True, text=True, check=False
     )
@@ -140,18 +135,16 @@ def check_installation(words: list[str]) -> None:
     """Compare what a command installs with what this repository offers, because nothing is
     installed in a test.
     """
-    groups = [words[i + 1] for i, word in enumerate(words) if word == "--group"]
-    assert set(groups) <= set(PROJECT["dependency-groups"]), words
-    if "install" not in words:
-        return
-    for word in (word for word in words[words.index("install") + 1 :] if not word.startswith("-")):
+    groups = {after for word, after in pairwise(words) if word == "--group"}
+    assert groups <= set(PROJECT["dependency-groups"]), words
+    _, *installed = words[words.index("install") :] if "install" in words else words[:1]
+    for word in (word for word in installed if not word.startswith("-")):
         folder, _, extras = word.removesuffix("]").partition("[")
         if shutil.which(folder):
             continue  # a program that is installed here
         project = tomllib.loads((ROOT / folder / "pyproject.toml").read_text())["project"]
-        assert set(filter(None, extras.split(","))) <= set(
-            project.get("optional-dependencies", {})
-        ), word
+        offered = {"", *project.get("optional-dependencies", ())}
+        assert set(extras.split(",")) <= offered, word
 
 
 def wrapped(words: list[str]) -> list[str]:

@@ -35,13 +35,7 @@ REPLY = json.dumps(
 """What the stand-in for a vision-language model answers."""
 
 
-def name(page: Page) -> str:
-    return page.path.relative_to(
-        ROOT / "docs" if page.path.is_relative_to(ROOT / "docs") else ROOT
-    ).as_posix()
-
-
-PAGES = {name(page): page for page in pages()}
+PAGES = {str(page.path.relative_to(ROOT)).removeprefix("docs/"): page for page in pages()}
 
 
 @pytest.mark.parametrize("page", PAGES.values(), ids=PAGES)

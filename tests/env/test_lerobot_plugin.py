@@ -25,6 +25,8 @@ from lerobot_env_dynahoi import command_line
 from lerobot_env_dynahoi.command_line import Launch, read_launch
 from lerobot_env_dynahoi.configuration_dynahoi import DynahoiEnvConfig
 
+from dynahoi_lerobot.core.agent import Agent
+from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.evaluate.rows import episode_row
@@ -36,6 +38,7 @@ from dynahoi_lerobot.sampling.salt import stream_label
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.checkpoints import FEATURES, SHIPPED, tiny_act
+from tests.conftest import by_seed
 from tests.tools import edit_json, options, run
 
 SMALL = {"image_size": 32, "split": "test_small"}
@@ -58,9 +61,7 @@ def test_lerobots_loop_fills_the_result_folder(act: Path, tmp_path: Path) -> Non
         "the sixth is the first again, and counts once"
     )
     assert len({row["seed"] for row in results.rows}) == 5
-    summary = results.summary
-    assert summary["S_loc"].n == 5
-    assert (summary["E_loc"].value or 0.0) > 0.3
+    assert results.summary["E_loc"].value > 0.3
     assert results.info.split == stream_label("test_small", SALT)
     assert not [path for path in tmp_path.glob("*.*") if SALT.encode() in path.read_bytes()], (
         "it stays hidden"
@@ -69,31 +70,14 @@ def test_lerobots_loop_fills_the_result_folder(act: Path, tmp_path: Path) -> Non
 
 def test_lerobots_loop_and_ours_give_the_same_rows(tmp_path: Path):
     """Of a policy that samples, in worlds of its own here and together there."""
-    words = (
-        "--env.task=constant,lob",
-        "--env.split=val",
-        "--env.image_size=96",
-        "--eval.batch_size=1",
-    )
-    found = through_lerobot(SHIPPED, tmp_path, *words, "--eval.n_episodes=1")
-    agent = PolicyAgent(str(SHIPPED), "cpu")
-    recipe = found.recipe()
-    specs = sample_specs(recipe, [row["seed"] for row in found.rows])
-    ours = {
-        episode.meta.seed: episode
-        for episode in evaluate(WorldBatch(recipe.rules, len(specs)), agent, specs)
-    }
-    assert len(ours) == 2
-    for row, actions in zip(found.rows, found.actions, strict=True):
-        episode = ours[row["seed"]]
+    words = ("--env.task=constant,lob", "--env.split=val", "--env.image_size=96")
+    found = through_lerobot(SHIPPED, tmp_path, *words, "--eval.batch_size=1", "--eval.n_episodes=1")
+    assert len(found.rows) == 2
+    ours = played_here(found, PolicyAgent(str(SHIPPED), "cpu"))
+    for row, actions, episode in zip(found.rows, found.actions, ours, strict=True):
         np.testing.assert_array_equal(actions, np.float32(episode.action))
-        wanted = episode_row(episode)
-        told = {
-            name: value
-            for name, value in row.items()
-            if not (isinstance(value, float) and np.isnan(value))
-        }
-        assert [name for name, value in told.items() if value != wanted[name]] == ["agent"]
+        wanted = episode_row(episode) | {"agent": row["agent"]}
+        np.testing.assert_equal(row, {name: wanted[name] for name in row})
     tasks = json.loads((tmp_path / "lerobot" / "eval_info.json").read_text())["per_task"]
     assert [s for task in tasks for s in task["metrics"]["successes"]] == [
         row["success"] for row in found.rows
@@ -212,6 +196,13 @@ def through_lerobot(policy: Path, out: Path, *words: str) -> Results:
     return read_results(out)
 
 
+def played_here(found: Results, agent: Agent) -> list[Episode]:
+    """Our evaluation of the same episodes, in the order of the rows."""
+    recipe = found.recipe()
+    specs = sample_specs(recipe, [row["seed"] for row in found.rows])
+    return by_seed(evaluate(WorldBatch(recipe.rules, len(specs)), agent, specs))
+
+
 LATE = ("--env.latency_ms=150", "--env.inference=async")
 
 
@@ -227,17 +218,10 @@ def test_a_policy_with_a_queue_plays_as_with_whole_chunks(
     checkpoint = request.getfixturevalue(policy)
     found = through_lerobot(checkpoint, tmp_path, *LATE, *QUEUES[policy])
     assert found.info.extra["inference"] == "async 150 ms"
-    late = Inference("async", 150.0)
-    recipe = found.recipe()
-    agent = RealTimeAgent(PolicyAgent(str(checkpoint)), late)
-    specs = sample_specs(recipe, sorted(row["seed"] for row in found.rows))
-    expected = {
-        episode.meta.seed: episode.action
-        for episode in evaluate(WorldBatch(recipe.rules, 2), agent, specs)
-    }
-    assert len(expected) == 2
-    for row, actions in zip(found.rows, found.actions, strict=True):
-        np.testing.assert_allclose(actions, expected[row["seed"]], atol=1e-6)
+    assert len(found.rows) == 2
+    late = RealTimeAgent(PolicyAgent(str(checkpoint)), Inference("async", 150.0))
+    for actions, episode in zip(found.actions, played_here(found, late), strict=True):
+        np.testing.assert_allclose(actions, episode.action, atol=1e-6)
         assert np.ptp(actions, axis=0).max() > 0.01, "the hand moves"
 
 

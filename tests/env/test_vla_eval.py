@@ -29,39 +29,58 @@ from tests.checkpoints import SHIPPED
 from tests.docs.playing import check_installation
 
 
-class Server:
-    """A model server in the same process: the expert, who knows the episode, or a hand that holds
-    still.
-    """
+class StillServer:
+    """A model server in the same process, whose hand holds still."""
 
-    def __init__(self, benchmark: DynahoiBenchmark, *, moves: bool) -> None:
-        self.benchmark = benchmark
-        self.moves = moves
-        self.observations = []
+    def __init__(self) -> None:
+        self.observations: list[dict] = []
 
     async def start_episode(self, payload: dict) -> None:
         self.task = payload["task"]
 
     async def act(self, observation: dict) -> dict:
         self.observations.append(observation)
-        if not self.moves:
-            return {"actions": observation["states"]}
-        batch = self.benchmark._env._batch
-        return {"actions": Intercept().act(batch.world_state(batch.observe(images=False)))[0]}
+        return {"actions": self.action(observation)}
+
+    def action(self, observation: dict) -> np.ndarray:
+        return observation["states"]
 
     async def end_episode(self, result: dict) -> None:
-        self.result = result
+        self.metrics = result["metrics"]
 
 
-def run(benchmark: DynahoiBenchmark, kind: str, *, moves: bool) -> Server:
-    server = Server(benchmark, moves=moves)
-    task = next(task for task in benchmark.get_tasks() if task["name"] == kind)
-    runner = SyncEpisodeRunner()
-    asyncio.run(
-        runner.run_episode(
-            benchmark, {**task, "episode_idx": 1}, server, recorder=NullEpisodeRecorder()
-        )
+class ExpertServer(StillServer):
+    """The expert, who knows the episode."""
+
+    def __init__(self, benchmark: DynahoiBenchmark) -> None:
+        super().__init__()
+        self.benchmark = benchmark
+
+    def action(self, observation: dict) -> np.ndarray:
+        batch = self.benchmark._env._batch
+        return Intercept().act(batch.world_state(batch.observe(images=False)))[0]
+
+
+class ObActServer(StillServer):
+    """The model server that ships."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.server = ObActModelServer(str(SHIPPED))
+        self.actions: list[np.ndarray] = []
+
+    def action(self, observation: dict) -> np.ndarray:
+        chunk = self.server.predict(observation, SimpleNamespace())["actions"]
+        self.actions.append(chunk[: self.server.chunk_size])
+        return chunk[0]
+
+
+def run(benchmark: DynahoiBenchmark, kind: str, server: StillServer) -> StillServer:
+    (task,) = (task for task in benchmark.get_tasks() if task["name"] == kind)
+    episode = SyncEpisodeRunner().run_episode(
+        benchmark, {**task, "episode_idx": 1}, server, recorder=NullEpisodeRecorder()
     )
+    asyncio.run(episode)
     return server
 
 
@@ -71,50 +90,33 @@ def test_a_server_sees_what_the_convention_says_and_catches_if_it_moves_as_the_e
         {"name": "lob", "suite": "projectile"},
         {"name": "planar", "suite": "pendulum"},
     ]
-    caught, missed = (run(benchmark, "planar", moves=moves) for moves in (True, False))
+    missed = run(benchmark, "planar", StillServer())
+    caught = run(benchmark, "planar", ExpertServer(benchmark))
     first = missed.observations[0]
     assert (first["images"]["ego"].shape, first["images"]["ego"].dtype) == ((32, 32, 3), np.uint8)
     assert first["states"].shape == (18,)
     assert "Catch" in first["task_description"]
     assert missed.task["name"] == "planar"
-    np.testing.assert_array_equal(
-        benchmark.get_hold_action({"actions": np.ones(18)})["actions"], 1.0
-    )
-    results = [server.result["metrics"] for server in (caught, missed)]
-    assert [(metrics["success"], metrics["S_loc"]) for metrics in results] == [
-        (True, 1.0),
-        (False, 0.0),
-    ]
-    assert missed.result["steps"] > caught.result["steps"]
-    assert set(results[0]) - {"success"} <= set(METRICS.names())
+    held = benchmark.get_hold_action({"actions": np.ones(18)})
+    np.testing.assert_array_equal(held["actions"], 1.0)
+    assert (caught.metrics["success"], caught.metrics["S_loc"]) == (True, 1.0)
+    assert (missed.metrics["success"], missed.metrics["S_loc"]) == (False, 0.0)
+    assert len(missed.observations) > len(caught.observations)
+    assert set(caught.metrics) - {"success"} <= set(METRICS.names())
     benchmark.cleanup()
 
 
 def test_how_fast_a_server_is_changes_nothing_that_obact_does(monkeypatch: pytest.MonkeyPatch):
     benchmark = DynahoiBenchmark(image_size=96, kinds=["constant"])
-    server = ObActModelServer(str(SHIPPED))
-
-    class Served(Server):
-        async def start_episode(self, payload: dict) -> None:
-            self.task = payload["task"]
-            self.actions = []
-            server._policy.reset()
-
-        async def act(self, observation: dict) -> dict:
-            chunk = server.predict(observation, SimpleNamespace())["actions"]
-            self.actions.append(chunk[: server.chunk_size])
-            return {"actions": self.actions[-1][0]}
-
-    monkeypatch.setattr(f"{__name__}.Server", Served)
     played = []
     for delay_s in (0.05, 0.2):
         clock = itertools.count(100.0, delay_s)
         monkeypatch.setattr("time.monotonic", lambda clock=clock: next(clock))
-        played.append(run(benchmark, "constant", moves=True))
+        played.append(run(benchmark, "constant", ObActServer()))
     prompt, slow = played
     assert prompt.actions[0].shape == (1, 18), "it sees every step"
     np.testing.assert_array_equal(prompt.actions, slow.actions)
-    assert prompt.result["metrics"]["S_loc"] == 1.0
+    assert prompt.metrics["S_loc"] == 1.0
 
 
 def test_the_world_moves_on_while_a_server_infers():

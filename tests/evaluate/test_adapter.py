@@ -13,16 +13,15 @@ from lerobot_env_dynahoi.configuration_dynahoi import DynahoiEnvConfig
 from lerobot_policy_obact import ObActPolicy
 from safetensors.torch import load_file, save_file
 
-from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.reading import sha256
 from dynahoi_lerobot.dataset import read_episodes
 from dynahoi_lerobot.evaluate.checkpoint import PolicyError, checked_folder, trained_for
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.generate.actor import actor_name
-from tests.checkpoints import RENAMES, renamed_act, tiny_adapter
+from tests.checkpoints import RENAMES, observation, renamed_act, tiny_adapter
 from tests.env.test_lerobot_plugin import through_lerobot
-from tests.tools import edit_json, generated, options, run
+from tests.tools import dynahoi, edit_json, generated, lerobot_train
 
 
 @pytest.fixture(scope="module")
@@ -40,8 +39,7 @@ def adapter(place: Path, tmp_path: Path) -> Path:
 
 
 def test_an_adapter_plays_in_every_command_and_results_name_both_weights(adapter, tmp_path):
-    words = ["--policy", str(adapter), "--episodes", "1", "--out", str(tmp_path / "results")]
-    assert main(["evaluate", *words]) == 0
+    dynahoi("evaluate", "--policy", adapter, "--episodes=1", "--out", tmp_path / "results")
     found = read_results(tmp_path / "results")
     base = adapter.parents[1] / "base/model.safetensors"
     assert found.info.extra["weights"] == {
@@ -49,10 +47,10 @@ def test_an_adapter_plays_in_every_command_and_results_name_both_weights(adapter
         "base/model.safetensors": sha256(base),
     }
     clip = tmp_path / "x.gif"
-    assert main(["view", "--motion", "lob", "--policy", str(adapter), "--out", str(clip)]) == 0
+    dynahoi("view", "--motion", "lob", "--policy", adapter, "--out", clip)
     assert clip.read_bytes()[:4] == b"GIF8"
-    made = ["generate", "--actor", str(adapter), "--episodes", "1", "--motions", "constant"]
-    assert main([*made, "--image-size", "32", "--root", str(tmp_path / "data")]) == 0
+    words = ("--actor", str(adapter), "--motions=constant", "--image-size=32")
+    generated(tmp_path / "data", *words, episodes=1)
     assert len(list(read_episodes(tmp_path / "data"))) == 1
 
 
@@ -63,8 +61,7 @@ def test_an_adapter_acts_as_lerobot_makes_it_act(adapter: Path, monkeypatch) -> 
     theirs = make_policy(config, env_cfg=DynahoiEnvConfig(image_size=32)).eval()
     ours = PolicyAgent(str(adapter))._policy
     plain = PolicyAgent("base")._policy
-    batch = {key: torch.rand(1, *feature.shape) for key, feature in config.input_features.items()}
-    acted = [policy.select_action(dict(batch)) for policy in (theirs, ours, plain)]
+    acted = [policy.select_action(observation(config)) for policy in (theirs, ours, plain)]
     torch.testing.assert_close(acted[0], acted[1], atol=0, rtol=0)
     assert not torch.allclose(acted[0], acted[2]), "the adapter changes something"
 
@@ -72,19 +69,16 @@ def test_an_adapter_acts_as_lerobot_makes_it_act(adapter: Path, monkeypatch) -> 
 def test_an_adapter_of_a_checkpoint_with_an_average_adapts_the_average(actor, tmp_path) -> None:
     config = PreTrainedConfig.from_pretrained(str(actor))
     config.ema_decay = 0.9
-    training = ObActPolicy(config)
-    for weight in training.acting.parameters():
+    policy = ObActPolicy(config)
+    for weight in policy.acting.parameters():
         weight.data += 0.05 * torch.randn_like(weight)
-    base = tmp_path / "base"
-    folder = tmp_path / "adapter"
-    training.save_pretrained(base)
-    for file in actor.glob("policy_*"):
-        shutil.copy(file, base)
-    loaded = PolicyAgent(str(tiny_adapter(base, folder)))._policy
-    found = dict(loaded.model.named_parameters())
-    for name, weight in training.acting.named_parameters():
-        adapted = name.replace(".weight", ".base_layer.weight").replace(".bias", ".base_layer.bias")
-        torch.testing.assert_close(found.get(adapted, found.get(name)), weight, atol=0, rtol=0)
+    acted = []
+    for name in ("training", "average"):
+        policy.save_pretrained(shutil.copytree(actor, tmp_path / name))
+        policy.keep_average()
+        adapted = PolicyAgent(str(tiny_adapter(tmp_path / name, tmp_path / f"{name}_adapter")))
+        acted.append(adapted._policy.select_action(observation(config)))
+    torch.testing.assert_close(*acted, atol=0, rtol=0)
 
 
 def test_the_base_is_found_from_any_folder(adapter: Path, monkeypatch, tmp_path) -> None:
@@ -95,7 +89,7 @@ def test_the_base_is_found_from_any_folder(adapter: Path, monkeypatch, tmp_path)
 
 def test_a_base_that_is_not_there_is_one_sentence(adapter: Path, capsys) -> None:
     shutil.rmtree(adapter.parents[1] / "base")
-    assert main(["evaluate", "--policy", str(adapter), "--episodes", "1"]) == 2
+    dynahoi("evaluate", "--policy", adapter, "--episodes", "1", code=2)
     message = capsys.readouterr().err
     assert message.count("\n") == 1
     assert "adapts 'base'" in message
@@ -154,9 +148,8 @@ def act(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_checkpoint_with_renamed_cameras_plays(act: Path, tmp_path: Path):
     told = trained_for(act)
     assert (told["views"], told["image_size"]) == (("side",), 32)
-    out = str(tmp_path / "results")
-    assert main(["evaluate", "--policy", str(act), "--episodes", "1", "--out", out]) == 0
-    assert read_results(Path(out)).recipe().rules.views == ("side",)
+    dynahoi("evaluate", "--policy", act, "--episodes=1", "--out", tmp_path)
+    assert read_results(tmp_path).recipe().rules.views == ("side",)
 
 
 def test_lerobot_eval_plays_it_with_and_without_the_map(act: Path, tmp_path: Path):
@@ -173,20 +166,15 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return generated(root, "--image-size", "32", "--views", "side", "--motions", "constant")
 
 
-def trained(data: Path, out: Path, *words: str) -> Path:
-    """The checkpoint of two steps of LeRobot's training."""
-    told = {"dataset.repo_id": "local/d", "dataset.root": data, "output_dir": out}
-    told |= {"steps": 2, "batch_size": 2, "num_workers": 0, "policy.push_to_hub": "false"}
-    run(["lerobot-train", *options(told), *words])
-    return out / "checkpoints/last/pretrained_model"
+def played(policy: Path, out: Path) -> None:
+    dynahoi("evaluate", "--policy", policy, "--episodes=1", "--motions=constant", "--out", out)
 
 
 @pytest.mark.nightly
 @pytest.mark.slow
 def test_lerobot_trains_an_adapter_that_plays_here(actor: Path, data: Path, tmp_path: Path):
-    made = trained(data, tmp_path / "out", f"--policy.path={actor}", "--peft.method_type=LORA")
-    words = ["--policy", str(made), "--episodes", "1", "--motions", "constant"]
-    assert main(["evaluate", *words, "--out", str(tmp_path / "results")]) == 0
+    lora = {"peft.method_type": "LORA"}
+    played(lerobot_train(data, tmp_path / "out", {"path": actor}, **lora), tmp_path / "results")
     weights = read_results(tmp_path / "results").info.extra["weights"]
     assert {*weights} >= {"adapter_model.safetensors", "base/model.safetensors"}
 
@@ -194,8 +182,6 @@ def test_lerobot_trains_an_adapter_that_plays_here(actor: Path, data: Path, tmp_
 @pytest.mark.nightly
 @pytest.mark.slow
 def test_lerobot_trains_with_renamed_cameras_what_plays_here(act: Path, data: Path, tmp_path: Path):
-    words = (f"--policy.path={act}", f"--rename_map={json.dumps(RENAMES)}")
-    made = trained(data, tmp_path / "out", *words)
-    words = ["--policy", str(made), "--episodes", "1", "--motions", "constant"]
-    assert main(["evaluate", *words, "--out", str(tmp_path / "results")]) == 0
+    made = lerobot_train(data, tmp_path / "out", {"path": act}, rename_map=RENAMES)
+    played(made, tmp_path / "results")
     assert read_results(tmp_path / "results").recipe().rules.views == ("side",)

@@ -18,13 +18,12 @@ from lerobot.processor import IdentityProcessorStep, ProcessorStepRegistry
 from lerobot.utils.import_utils import register_third_party_plugins
 from safetensors.torch import load_file, save_file
 
-from dynahoi_lerobot.cli import main as cli
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.evaluate.checkpoint import WEIGHTS, PolicyError, checked_folder, trained_for
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import read_results
 from tests.checkpoints import FEATURES, SHIPPED, saved, tiny_act
-from tests.tools import edit_json
+from tests.tools import dynahoi, edit_json
 
 PREPROCESSOR = "policy_preprocessor.json"
 
@@ -65,7 +64,7 @@ def test_a_step_that_is_a_program_is_refused_by_every_command(
     add_step(checkpoint, program(marker), pipeline)
     out = str(checkpoint.parent / "x.gif")
     words = [*command.split(), "--policy", str(checkpoint), "--out", out]
-    assert cli.main(words) == 2
+    dynahoi(*words, code=2)
     message = capsys.readouterr().err
     assert "'os.mkdir'" in message
     assert "--trust" in message
@@ -261,7 +260,7 @@ def test_values_that_nothing_can_play_are_one_sentence(
     name: str, change: dict, sentence: str, checkpoint: Path, capsys
 ) -> None:
     edit_json(checkpoint / name, lambda content: content.update(change))
-    assert cli.main(["evaluate", "--policy", str(checkpoint), "--episodes", "1"]) == 2
+    dynahoi("evaluate", "--policy", checkpoint, "--episodes", "1", code=2)
     message = capsys.readouterr().err
     assert sentence in message
     assert message.count("\n") == 1
@@ -271,7 +270,7 @@ def test_a_checkpoint_plays_under_the_rules_it_was_trained_for(checkpoint, tmp_p
     late = {"type": "dynahoi", "control_class": "late", "capture": "contact"}
     edit_json(checkpoint / "train_config.json", lambda config: config.update(env=late))
     words = ["evaluate", "--policy", str(checkpoint), "--episodes", "1"]
-    assert cli.main([*words, "--out", str(tmp_path / "own")]) == 0
+    dynahoi(*words, "--out", tmp_path / "own")
     assert "--control-class late" in capsys.readouterr().out
     results = read_results(tmp_path / "own")
     assert (
@@ -280,7 +279,7 @@ def test_a_checkpoint_plays_under_the_rules_it_was_trained_for(checkpoint, tmp_p
     )
     recipe = results.recipe().rules
     assert (recipe.capture, recipe.control_class, recipe.image_size) == ("contact", "late", 32)
-    assert cli.main([*words, "--out", str(tmp_path / "told"), "--control-class", "unlimited"]) == 0
+    dynahoi(*words, "--out", tmp_path / "told", "--control-class", "unlimited")
     assert read_results(tmp_path / "told").recipe().rules.control_class == "unlimited"
 
 

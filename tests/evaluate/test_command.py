@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.results import Results, read_results
 from tests.checkpoints import tiny_diffusion
+from tests.tools import dynahoi
 
 HOLD = ["evaluate", "--policy", "hold", "--episodes", "2"]
 
@@ -21,31 +21,25 @@ def test_files_of_somebody_else_stay_as_they_are(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     (tmp_path / name).write_text("mine")
-    assert main([*HOLD, "--out", str(tmp_path)]) == 2
+    dynahoi(*HOLD, "--out", tmp_path, code=2)
     assert name in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == [name]
     assert (tmp_path / name).read_text() == "mine"
 
 
 def test_results_of_another_evaluation_stay_and_what_differs_is_named(tmp_path, capsys):
-    assert main([*HOLD, "--out", str(tmp_path)]) == 0
+    dynahoi(*HOLD, "--out", tmp_path)
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     capsys.readouterr()
-    for words, what in (
-        (["--policy", "pursuit"], "policy"),
-        (["--split", "val"], "split"),
-        (["--control-class", "late"], "control_class"),
-        (["--render-noise", "2"], "render_noise"),
-        (["--capture", "contact"], "capture"),
-    ):
-        assert main([*HOLD, *words, "--out", str(tmp_path)]) == 2
-        assert what in capsys.readouterr().err
-    assert main([*HOLD, "--out", str(tmp_path), "--per-kind"]) == 0, "it is finished"
+    for option, value in (("policy", "pursuit"), ("split", "val"), ("control_class", "late")):
+        dynahoi(*HOLD, f"--{option.replace('_', '-')}={value}", "--out", tmp_path, code=2)
+        assert option in capsys.readouterr().err
+    dynahoi(*HOLD, "--out", tmp_path, "--per-kind")  # it is finished
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 def test_a_full_disk_is_one_sentence_and_the_run_resumes(tmp_path, monkeypatch, capsys):
-    words = [*HOLD, "--episodes", "4", "--batch-size", "2", "--out", str(tmp_path)]
+    words = [*HOLD, "--episodes", "4", "--batch-size", "2", "--out", tmp_path]
     write = np.savez
     calls = []
 
@@ -56,46 +50,39 @@ def test_a_full_disk_is_one_sentence_and_the_run_resumes(tmp_path, monkeypatch, 
         write(*args, **arrays)
 
     monkeypatch.setattr(np, "savez", full)
-    assert main(words) == 1
+    dynahoi(*words, code=1)
     assert "No space left on device" in capsys.readouterr().err
     assert len(read_results(tmp_path).rows) == 2, "what was saved before stays"
     assert not list(tmp_path.glob("*.part"))
     (tmp_path / ".actions.npz.1234.part").write_bytes(b"half of what a killed run wrote")
-    assert main(words) == 0
+    dynahoi(*words)
     assert calls == [2, 4, 4]
     assert sorted(row["seed"] for row in read_results(tmp_path).rows) == [0, 1, 2, 3]
     assert not list(tmp_path.glob(".*.part"))
 
 
 def test_clips_are_of_the_first_episodes_of_the_split_whichever_end_first(tmp_path: Path):
-    words = ["evaluate", "--policy", "hold", "--episodes", "5", "--image-size", "32"]
-    words += ["--gifs", "2", "--motions", "random_spline,constant", "--out", str(tmp_path)]
-    assert main(words) == 0
+    kinds = ["--motions", "random_spline,constant"]
+    dynahoi(*HOLD, "--episodes=5", "--image-size=32", "--gifs=2", *kinds, "--out", tmp_path)
     seeds = {path.stem.rpartition("_")[2] for path in tmp_path.glob("*.gif")}
     assert seeds == {"0", "1"}
 
 
 def test_what_is_played_by_another_control_mode_is_stored_as_a_word(tmp_path: Path):
     out = tmp_path / "grasp"
-    words = [*HOLD, "--control-mode", "grasp", "--image-size", "0", "--out", str(out)]
-    assert main(words) == 0
+    dynahoi(*HOLD, "--control-mode=grasp", "--image-size=0", "--out", out)
     head = json.loads((out / "metrics.json").read_text())
     assert head["recipe"]["rules"]["control_mode"] == "grasp"
-    assert main(["evaluate", "--replay", str(out)]) == 0
+    dynahoi("evaluate", "--replay", out)
 
 
 def test_a_policy_that_samples_gives_the_same_rows_when_it_is_interrupted(
     tmp_path: Path, monkeypatch
 ):
-    words = [
-        "evaluate",
-        "--policy",
-        str(tiny_diffusion(tmp_path / "policy")),
-        "--environment-state",
-        "truth",
-    ]
-    words += ["--episodes", "5", "--batch-size", "2", "--out"]
-    assert main([*words, str(tmp_path / "whole")]) == 0
+    policy = tiny_diffusion(tmp_path / "policy")
+    words = ["evaluate", f"--policy={policy}", "--environment-state=truth"]
+    words += ["--episodes=5", "--batch-size=2", "--out"]
+    dynahoi(*words, tmp_path / "whole")
     write = Results.write
     saves = []
 
@@ -106,7 +93,8 @@ def test_a_policy_that_samples_gives_the_same_rows_when_it_is_interrupted(
             raise KeyboardInterrupt
 
     monkeypatch.setattr(Results, "write", killed)
-    assert [main([*words, str(tmp_path / "resumed")]) for _ in range(3)] == [130, 130, 0]
+    for code in (130, 130, 0):
+        dynahoi(*words, tmp_path / "resumed", code=code)
     assert saves == [2, 4, 5]
     whole, resumed = (read_results(tmp_path / name) for name in ("whole", "resumed"))
     assert resumed.rows == whole.rows

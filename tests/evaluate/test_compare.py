@@ -2,7 +2,6 @@
 conditions.
 """
 
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -80,12 +79,8 @@ def test_rates_are_compared_by_their_discordant_episodes():
 def test_a_constant_paired_difference_has_no_spread():
     a = results([1.0, 2.0, 3.0, 9.0], "E_loc")
     b = results([0.5, 1.5, 2.5, 8.5], "E_loc")
-    found = compare(a, b, "E_loc")
-    assert (found.value, found.low, found.high) == (0.5, 0.5, 0.5)
-    assert found.p_value == 2 / 16
-    assert compare(b, a, "E_loc").value == -0.5
-    same = compare(a, a, "E_loc")
-    assert (same.value, same.low, same.high, same.p_value) == (0.0, 0.0, 0.0, 1.0)
+    assert compare(a, b, "E_loc") == Comparison(0.5, 0.5, 0.5, "u", 4, 2 / 16)
+    assert compare(a, a, "E_loc") == Comparison(0.0, 0.0, 0.0, "u", 4, 1.0)
 
 
 def test_commands_are_as_far_apart_as_the_palms_in_the_control_frames_that_both_have():
@@ -101,11 +96,10 @@ def test_commands_are_as_far_apart_as_the_palms_in_the_control_frames_that_both_
         assert compare(other, a, COMMANDS) == found
 
 
-def test_only_the_same_episodes_are_paired_whatever_their_order():
+def test_only_the_same_episodes_are_paired():
     a = results([1.0, 2.0, 3.0], "E_loc")
     b = results([20.0, 30.0, 40.0], "E_loc", first_seed=1)
-    backwards = Results(b.folder, b.info, b.rows[::-1], b.actions)
-    assert paired_values(a, backwards, "E_loc").tolist() == [[2.0, 20.0], [3.0, 30.0]]
+    assert paired_values(a, b, "E_loc").tolist() == [[2.0, 20.0], [3.0, 30.0]]
     conditional = results([1.0, None, 0.0], "S_gra"), results([1.0, 1.0, None], "S_gra")
     assert paired_values(*conditional, "S_gra").tolist() == [[1.0, 1.0]]
 
@@ -113,7 +107,6 @@ def test_only_the_same_episodes_are_paired_whatever_their_order():
 def test_a_seed_alone_does_not_make_a_pair_and_an_unknown_metric_is_named():
     for change in ({"split": "val"}, {"kind": "bounce"}, {"object": "egg"}, {"length_frames": 41}):
         assert compare(results([1.0]), results([1.0], **change), "S_loc") is None
-        assert compare(results([1.0]), results([1.0], **change), COMMANDS) is None
     with pytest.raises(ValueError, match="S_lok"):
         compare(results([1.0], "S_lok"), results([1.0], "S_lok"), "S_lok")
 
@@ -123,36 +116,28 @@ def split_digits(salt: str) -> str:
     return stream_label("", salt).removeprefix("+")
 
 
-def assert_opposite(found: Comparison, turned: Comparison) -> None:
-    """The one is exactly the other, with the two evaluations exchanged."""
-    assert (found.value, found.low, found.high) == (-turned.value, -turned.high, -turned.low)
-    assert (found.p_value, found.n, found.unit) == (turned.p_value, turned.n, turned.unit)
-    for number in (found.value, found.low, found.high):
-        assert math.copysign(1.0, number) == 1.0 or number < 0, "no -0.0"
-
-
-def drawn_pairs(metric: str, rng: np.random.Generator) -> tuple[Results, Results]:
-    """Two evaluations of one name with overlapping episodes, ties, gaps and skewed values."""
-    values = [
-        rng.integers(2, size=30).astype(float) if metric[0] == "S" else rng.exponential(1.0, 30)
-        for _ in range(2)
-    ]
-    lists = [list(part) for part in values]
-    lists[1][:5] = lists[0][:5]
-    lists[0][7] = lists[1][9] = None
-    return results(lists[0], metric), results(lists[1], metric, first_seed=3)
+def drawn_pair(metric: str, seed: int) -> tuple[Results, Results]:
+    """Two evaluations with overlapping episodes, ties and gaps."""
+    rng = np.random.default_rng(seed)
+    values = rng.integers(2, size=(2, 30)) if metric[0] == "S" else rng.exponential(1.0, (2, 30))
+    mine, others = values.astype(float).tolist()
+    others[:5] = mine[3:8]
+    mine[7] = others[9] = None
+    return results(mine, metric), results(others, metric, first_seed=3)
 
 
 @pytest.mark.parametrize("metric", ["S_loc", "S_gra", "E_loc", "R_time"])
-def test_a_comparison_is_exactly_the_opposite_of_the_reverse(metric: str):
+def test_a_comparison_is_exactly_the_opposite_of_the_reverse_in_any_order(metric: str):
     for seed in range(12):
-        a, b = drawn_pairs(metric, np.random.default_rng(seed))
+        a, b = drawn_pair(metric, seed)
+        found = compare(a, b, metric)
+        turned = compare(b, a, metric)
+        assert found == replace(turned, value=-turned.value, low=-turned.high, high=-turned.low)
+        assert "-0.0," not in repr((found, turned))
         backwards = replace(b, rows=b.rows[::-1], actions=b.actions[::-1])
-        repeated = replace(a, rows=(*a.rows, a.rows[4] | {metric: 1.0}))
-        for one in (a, repeated):
-            for other in (b, backwards):
-                assert_opposite(compare(one, other, metric), compare(other, one, metric))
-        assert compare(a, b, metric) == compare(a, backwards, metric)
+        assert compare(a, backwards, metric) == found
+        repeated = replace(a, rows=(*a.rows, a.rows[4] | {metric: 0.5}))
+        assert compare(repeated, b, metric) == found, "the first time counts"
 
 
 @pytest.mark.parametrize(

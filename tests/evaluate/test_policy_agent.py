@@ -11,12 +11,12 @@ import pytest
 import torch
 from lerobot.policies.diffusion.modeling_diffusion import DiffusionPolicy
 
-from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.agent import Observation
 from dynahoi_lerobot.core.lerobot_internals import queued_frame
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError
 from dynahoi_lerobot.evaluate.results import read_results
 from tests.checkpoints import SHIPPED, tiny_diffusion
+from tests.tools import dynahoi
 from tests.world.playing import world
 
 CHECKPOINT = str(SHIPPED)
@@ -48,31 +48,9 @@ def test_a_measured_inference_is_of_one_world_and_may_outlast_the_chunk_before(
         )  # its chunks are of 8 frames, 0.4 s
 
     monkeypatch.setattr(PolicyAgent, "plan", slow)
-    words = [
-        "evaluate",
-        "--policy",
-        str(actor),
-        "--split",
-        "val",
-        "--episodes",
-        "2",
-        "--out",
-        str(tmp_path),
-    ]
-    assert (
-        main(
-            [
-                *words,
-                "--control-class",
-                "unlimited",
-                "--inference",
-                mode,
-                "--inference-ms",
-                "measured",
-            ]
-        )
-        == 0
-    )
+    words = ["--split=val", "--episodes=2", "--control-class=unlimited"]
+    words += [f"--inference={mode}", "--inference-ms=measured"]
+    dynahoi("evaluate", "--policy", actor, *words, "--out", tmp_path)
     assert set(worlds) == {1}
     assert read_results(tmp_path).info.extra["inference_frames"] == 11.0
 

@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.replay_results import drawn
 from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.rollout.loop import replay
 from tests.synthetic import write_results
-from tests.tools import edit_json
+from tests.tools import dynahoi, edit_json
 
 
 def rewritten(folder: Path, **changes: object) -> None:
@@ -95,17 +94,14 @@ FORGERIES: list[tuple[Callable[[Path], None], str]] = [
 def honest(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three episodes of a baseline that catches some."""
     folder = tmp_path_factory.mktemp("honest") / "results"
-    assert (
-        main(["evaluate", "--policy", "constant_velocity", "--episodes", "3", "--out", str(folder)])
-        == 0
-    )
+    dynahoi("evaluate", "--policy", "constant_velocity", "--episodes", "3", "--out", folder)
     return folder
 
 
 def test_an_honest_result_replays_and_its_digests_are_told(
     honest: Path, capsys: pytest.CaptureFixture[str]
 ):
-    assert main(["evaluate", "--replay", str(honest)]) == 0
+    dynahoi("evaluate", "--replay", honest)
     said = capsys.readouterr().out
     for name in ("metrics.json", "episodes.parquet", "actions.npz"):
         assert hashlib.sha256((honest / name).read_bytes()).hexdigest() in said
@@ -119,16 +115,14 @@ def test_results_of_other_code_are_replayed_with_a_word(
 ):
     other = shutil.copytree(honest, tmp_path / "other")
     set_head(code="0123456789abcdef")(other)
-    assert main(["evaluate", "--replay", str(other)]) == 0
+    dynahoi("evaluate", "--replay", other)
     assert "made by other code" in capsys.readouterr().out
 
 
 def test_a_drawn_sample_can_be_drawn_again(honest: Path, capsys: pytest.CaptureFixture[str]):
-    assert main(["evaluate", "--replay", str(honest), "--episodes", "1"]) == 0
+    dynahoi("evaluate", "--replay", honest, "--episodes", "1")
     (seed,) = re.findall(r"--replay-seed (\d+)", first := capsys.readouterr().out)
-    assert (
-        main(["evaluate", "--replay", str(honest), "--episodes", "1", "--replay-seed", seed]) == 0
-    )
+    dynahoi("evaluate", "--replay", honest, "--episodes", "1", "--replay-seed", seed)
     assert capsys.readouterr().out == first
     assert len(set(drawn(1000, 44, 0))) == 44
     assert drawn(1000, 44, 0) != drawn(1000, 44, 1)
@@ -136,9 +130,9 @@ def test_a_drawn_sample_can_be_drawn_again(honest: Path, capsys: pytest.CaptureF
 
 def test_easier_rules_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     words = ["evaluate", "--policy", "hold", "--episodes", "2", "--out", str(tmp_path / "easy")]
-    assert main([*words, "--motions", "constant", "--protocol", "direct_act"]) == 0
+    dynahoi(*words, "--motions", "constant", "--protocol", "direct_act")
     capsys.readouterr()
-    assert main(["evaluate", "--replay", str(tmp_path / "easy")]) == 0
+    dynahoi("evaluate", "--replay", tmp_path / "easy")
     said = capsys.readouterr().out
     assert "not the benchmark's motions: ['constant']" in said
     assert "not the benchmark's protocol: 'direct_act'" in said
@@ -149,7 +143,7 @@ def test_a_forged_result_is_found(honest, tmp_path, forge, finding, capsys):
     folder = tmp_path / "forged"
     shutil.copytree(honest, folder)
     forge(folder)
-    assert main(["evaluate", "--replay", str(folder)]) == 1
+    dynahoi("evaluate", "--replay", folder, code=1)
     said = capsys.readouterr().out
     assert finding.format(*(row["seed"] for row in read_results(honest).rows)) in said
     assert "not the same" in said
@@ -160,14 +154,11 @@ def test_results_of_a_salt_are_replayed_by_who_knows_it(
 ):
     secret = "a secret of sixteen letters"
     folder = str(tmp_path / "results")
-    assert (
-        main(["evaluate", "--policy", "hold", "--episodes", "2", "--salt", secret, "--out", folder])
-        == 0
-    )
-    assert main(["evaluate", "--replay", folder, "--salt", secret]) == 0
+    dynahoi("evaluate", "--policy", "hold", "--episodes", "2", "--salt", secret, "--out", folder)
+    dynahoi("evaluate", "--replay", folder, "--salt", secret)
     capsys.readouterr()
     for salt in ("", "another one of sixteen letters"):
-        assert main(["evaluate", "--replay", folder, "--salt", salt]) == 2
+        dynahoi("evaluate", "--replay", folder, "--salt", salt, code=2)
         said = capsys.readouterr().err
         assert "the results are of salt sha256:" in said
         assert secret not in said

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.evaluate.rows import STRATA, episode_row
 from dynahoi_lerobot.evaluate.summary import Estimate, bootstrap, bootstrap_means, wilson
@@ -23,7 +24,7 @@ EPISODE = synthetic_episode(image_size=None)
 
 
 def label(stratum: str, **meta: object) -> str:
-    return STRATA[stratum].label(replace(EPISODE, meta=replace(EPISODE.meta, **meta)))
+    return STRATA[stratum].label(changed(EPISODE, meta))
 
 
 @pytest.mark.parametrize("name", ["tier", "periodicity", "category"])
@@ -54,12 +55,10 @@ def test_bins_of_duration_and_of_travel_from_the_palm_at_control_start_to_the_in
     state = EPISODE.state.copy()
     start = state[window, :3]
     state[:window, :3] = 50.0
-    far_m = {0.0: "0-0.5", 0.04: "0-0.5", 0.06: "0.5-2", 0.21: "2-4", 0.39: "2-4", 0.41: ">4"}
-    for distance_m, expected in far_m.items():
+    for distance_m, expected in {0.04: "0-0.5", 0.06: "0.5-2", 0.21: "2-4", 0.41: ">4"}.items():
         goal = start + np.array([0, distance_m, 0], np.float32)
-        assert (
-            STRATA["travel"].label(replace(EPISODE, state=state, intercept_pos_h=goal)) == expected
-        )
+        travelled = replace(EPISODE, state=state, intercept_pos_h=goal)
+        assert STRATA["travel"].label(travelled) == expected
     assert STRATA["duration"].arrange({">120", "20-40", "odd", "80-120"}) == [
         "20-40",
         "80-120",
@@ -68,28 +67,24 @@ def test_bins_of_duration_and_of_travel_from_the_palm_at_control_start_to_the_in
     ]
 
 
-def test_wilson_matches_published_values_contains_the_rate_and_mirrors():
-    """Newcombe 1998, Table I, method 3."""
-    published = [
+@pytest.mark.parametrize(
+    ("successes", "count", "low", "high"),
+    [
         (81, 263, 0.2553, 0.3662),
         (15, 148, 0.0624, 0.1605),
         (0, 20, 0.0, 0.1611),
         (1, 29, 0.0061, 0.1718),
-    ]
-    for successes, count, low, high in published:
-        assert wilson(successes, count) == (
-            pytest.approx(low, abs=6e-5),
-            pytest.approx(high, abs=6e-5),
-        )
-    for count in (1, 7, 110, 1000):
-        for successes in {0, 1, count // 2, count}:
-            low, high = wilson(successes, count)
-            assert 0 <= low <= successes / count <= high <= 1
-            assert low < high
-            assert wilson(count - successes, count) == (
-                pytest.approx(1 - high),
-                pytest.approx(1 - low),
-            )
+    ],
+)
+def test_wilson_matches_published_values(successes: int, count: int, low: float, high: float):
+    """Newcombe 1998, Table I, method 3."""
+    assert wilson(successes, count) == pytest.approx((low, high), abs=6e-5)
+
+
+@pytest.mark.parametrize("count", [1, 7, 110, 1000])
+def test_wilson_touches_0_and_1_exactly(count: int):
+    assert wilson(0, count)[0] == 0.0
+    assert wilson(count, count)[1] == 1.0
 
 
 def test_bootstrap_is_deterministic_blind_to_order_and_draws_from_all_values():
@@ -113,8 +108,8 @@ def results(policy: str = "reach", capture: str = "attach") -> Results:
     rows = []
     for seed in range(4):
         episode = synthetic_episode(seed, image_size=None, miss_m=0.05 * (seed == 0))
-        meta = replace(episode.meta, capture=capture, motion=("constant", "lob")[seed % 2])
-        rows.append(episode_row(replace(episode, meta=meta)))
+        meta = {"capture": capture, "motion": ("constant", "lob")[seed % 2]}
+        rows.append(episode_row(changed(episode, meta)))
     return Results(Path("run"), run_info(policy, capture=capture), tuple(rows), ())
 
 
@@ -161,37 +156,38 @@ def test_a_metric_that_does_not_apply_is_an_empty_cell_or_no_column():
     assert table.rows[1][place].key is None
 
 
-def skilled(values: list[float], metric: str = "S_loc", first: int = 0) -> Results:
+def played(metric: str, values: list[float], first_seed: int) -> Results:
     """Results with one value an episode."""
     episode = synthetic_episode(0, image_size=None)
     rows = [
-        episode_row(replace(episode, meta=replace(episode.meta, seed=first + i))) | {metric: value}
-        for i, value in enumerate(values)
+        episode_row(changed(episode, {"seed": seed})) | {metric: value}
+        for seed, value in enumerate(values, first_seed)
     ]
     return Results(Path("run"), run_info("p"), tuple(rows), ())
 
 
-def bold(*results: Results, metric: str = "S_loc") -> list[bool]:
+def bold(*values: list[float], metric: str = "S_loc", apart: int = 0) -> list[bool]:
+    """Which of some evaluations are bold, given the values of each; the seeds of each begin so far
+    ``apart``.
+    """
+    results = [played(metric, one, apart * i) for i, one in enumerate(values)]
     labels = [str(i) for i in range(len(results))]
-    rows = metrics_table(labels, results, [metric]).rows
-    return [row[-1].mark == "best" for row in rows]
+    return [row[-1].mark == "best" for row in metrics_table(labels, results, [metric]).rows]
 
 
 def test_bold_is_what_a_paired_test_of_enough_episodes_supports():
     good = [1.0] * 40
     fair = [1.0] * 38 + [0.0] * 2
     bad = [1.0, 0.0] * 20
-    assert bold(skilled(good), skilled(bad)) == [True, False]
-    assert bold(skilled(bad), skilled(good)) == [False, True]
-    assert bold(skilled(good), skilled(fair)) == [False, False], "2 of 40 may be chance"
-    assert bold(skilled(good), skilled(fair), skilled(bad)) == [False] * 3, "not the second, too"
-    assert bold(skilled(good), skilled(good)) == [False, False]
-    assert bold(skilled(good)) == [False]
-    assert bold(skilled([1.0] * 10), skilled([0.0] * 10)) == [False, False]
-    assert bold(skilled([1.0] * 10), skilled(fair), skilled(bad)) == [False, True, False], (
+    assert bold(good, bad) == [True, False]
+    assert bold(bad, good) == [False, True]
+    assert bold(good, fair) == [False, False], "2 of 40 may be chance"
+    assert bold(good, fair, bad) == [False] * 3, "not the second, too"
+    assert bold(good) == [False]
+    ten = [1.0] * 10
+    assert bold(ten, [0.0] * 10) == [False, False]
+    assert bold(ten, fair, bad) == [False, True, False], (
         "ten episodes neither win nor stand in the way"
     )
-    assert bold(skilled(good, first=100), skilled(bad)) == [False, False], "no episode in common"
-    far = [1.0] * 40
-    near = [0.5] * 40
-    assert bold(skilled(far, "E_loc"), skilled(near, "E_loc"), metric="E_loc") == [False, True]
+    assert bold(good, bad, apart=100) == [False, False], "no episode in common"
+    assert bold(good, [0.5] * 40, metric="E_loc") == [False, True], "nearer"

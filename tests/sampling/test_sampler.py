@@ -4,7 +4,6 @@ are the paper's.
 
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -26,7 +25,6 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import MIN_OBSERVED_S, sample_spec, sample_specs
 from dynahoi_lerobot.sampling.timing import MIN_APPROACH_FRAMES, draw_timing, kind_table
 from dynahoi_lerobot.scene.clearance import REFERENCE_HAND, keeps_clear
-from dynahoi_lerobot.scene.scene import compile_scene
 from tests.world.playing import SMALL
 
 
@@ -72,21 +70,11 @@ def test_the_recording_holds_approach_and_grasp_and_a_window_that_shows_the_targ
 
 
 def test_the_hand_waits_in_front_of_a_target_it_can_watch(specs: list[EpisodeSpec]):
-    """In the half view of the compiled camera, in front of the palm, not behind the hand, and clear
-    of it.
-    """
-    model = compile_scene().model
-    camera = model.camera("ego").id
-    axes = np.zeros(9)
-    mujoco.mju_quat2Mat(axes, model.cam_quat[camera])
-    slope = np.tan(np.radians(model.cam_fovy[camera] / 2))
+    """Neither behind nor in the hand, and in its view."""
     for spec in specs:
         seen = spec.target_path_w[: spec.window_frames + 1] - spec.home_pos_w
         assert (seen[:, 0] > 0).all(), "the palm faces +x"
         assert np.linalg.norm(seen, axis=1).min() > 0.07
-        right, up, back = ((seen - model.cam_pos[camera]) @ axes.reshape(3, 3)).T
-        in_view = (back < 0) & (np.abs(right) < -back * slope) & (np.abs(up) < -back * slope)
-        assert in_view.mean() >= 0.9
         assert visible(seen).mean() >= 0.9
 
 

@@ -3,7 +3,6 @@ another speed.
 """
 
 import json
-import pickle
 import shutil
 from dataclasses import fields, replace
 from pathlib import Path
@@ -11,11 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.conventions import CONTROL_DT
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.dataset.paths import MANIFEST_PATH
-from dynahoi_lerobot.env import DynahoiVectorEnv
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.motions import MOTIONS, PrescribedMotion
 from dynahoi_lerobot.report.entries import read_entries
@@ -28,7 +25,7 @@ from dynahoi_lerobot.sampling.salt import seal, without_salt
 from dynahoi_lerobot.sampling.sampler import sample_spec, sample_specs
 from dynahoi_lerobot.sampling.splits import split_seeds
 from dynahoi_lerobot.world.batch import WorldBatch
-from tests.tools import generated
+from tests.tools import dynahoi, generated
 from tests.world.playing import SMALL
 
 QUICK = ("constant", "lateral", "horizontal_circle", "line_then_arc")
@@ -77,21 +74,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         for name, salt in (("public", ""), ("salted", SALT), ("other", OTHER)):
             words = ["--salt", salt] if salt else []
             patch.setattr("sys.argv", ["dynahoi", "evaluate", *words])
-            assert (
-                main(
-                    [
-                        "evaluate",
-                        "--policy",
-                        "hold",
-                        "--episodes",
-                        "3",
-                        "--out",
-                        str(root / name),
-                        *words,
-                    ]
-                )
-                == 0
-            )
+            dynahoi("evaluate", "--policy", "hold", "--episodes", "3", "--out", root / name, *words)
     shutil.copytree(root / "salted", root / "again")
     return {folder.name: folder for folder in root.iterdir()}
 
@@ -113,7 +96,7 @@ def test_another_salt_is_another_episode_and_the_same_salt_the_same():
 
 def test_no_file_of_a_result_or_a_dataset_holds_the_salt(runs: dict[str, Path], tmp_path: Path):
     root = generated(tmp_path / "dataset", "--image-size", "0", "--salt", SALT)
-    assert main(["verify", str(root)]) == 0
+    dynahoi("verify", root)
     files = [
         path for folder in (root, *runs.values()) for path in folder.rglob("*") if path.is_file()
     ]
@@ -141,16 +124,6 @@ def test_a_salt_that_can_be_guessed_is_refused_and_not_repeated():
     with pytest.raises(ValueError, match="at least 16 characters") as refused:
         Recipe(salt="hush!")
     assert "hush!" not in str(refused.value)
-
-
-def test_the_environment_plays_the_salted_stream_and_so_do_its_copies():
-    env = DynahoiVectorEnv(1, image_size=0, salt=SALT)
-    for one in (env, pickle.loads(pickle.dumps(env))):
-        one.reset(seed=[5])
-        spec = one._batch.specs[0]
-        np.testing.assert_array_equal(
-            spec.home_pos_w, sample_spec(Recipe(split="test", salt=SALT), 5).home_pos_w
-        )
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,9 @@ servers.
 
 import json
 import shutil
+from collections.abc import Iterator
 from dataclasses import replace
-from itertools import chain, count, repeat
+from itertools import chain, count, pairwise, repeat
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from lerobot.policies.rtc import RTCConfig
 from lerobot.rollout.inference.rtc import supports_rtc_inference
 from lerobot.utils.feature_utils import dataset_to_policy_features
 from lerobot_policy_obact import ObActConfig, ObActPolicy, dataset
+from lerobot_policy_obact.commands import CommandBuffer
 from lerobot_policy_obact.configuration_obact import Embodiment
 from lerobot_policy_obact.encoders import SHIPPED
 from lerobot_policy_obact.export import export
@@ -29,40 +31,26 @@ from torch.utils.data import DataLoader
 
 from dynahoi_lerobot.dataset import episode_column
 from dynahoi_lerobot.encode import encode
-from tests.checkpoints import FEATURES, SMALL_GR00T
+from tests.checkpoints import FEATURES, SMALL_GR00T, TINY_OBACT, observation
 from tests.checkpoints import SHIPPED as SHIPPED_POLICY
-from tests.tools import generated, options, python, run
+from tests.tools import generated, lerobot_train, options, python, run
 
 N_EPISODES = 2
 N_FRAMES = 30
 FPS = 10
 SIZE = 48
-TINY = {
-    "dim": 16,
-    "n_heads": 2,
-    "width": 32,
-    "n_points": 4,
+NEW = {"type": "obact"}
+TINY = TINY_OBACT | {
     "horizon": 4,
     "n_action_steps": 2,
     "n_obs_steps": 3,
     "device": "cpu",
     "push_to_hub": False,
-    "head_options": {"width": 16},
-    "encoder": "conv",
-    "encoder_options": {"channels": 8},
-    "freeze_encoder": False,
     "relative_dims": 2,
 }
+CHANGED = {"dataset.image_transforms.enable": True}
+"""An option of LeRobot's training that changes images."""
 HAND = {name: FEATURES[name] for name in ("input_features", "output_features")}
-
-
-def lerobot_train(root: Path, out: Path, policy: dict[str, object], **given: object) -> Path:
-    """Train for two steps with options of the policy, and others; return the checkpoint."""
-    told = {"policy.type": "obact"} | {f"policy.{key}": value for key, value in policy.items()}
-    told |= {"dataset.repo_id": "local/tiny", "dataset.root": root, "output_dir": out, "seed": 1}
-    told |= {"steps": 2, "batch_size": 2, "save_freq": 2, "num_workers": 0, "log_freq": 1} | given
-    run(["lerobot-train", *options(told)])
-    return out / "checkpoints/last/pretrained_model"
 
 
 @pytest.fixture(scope="module")
@@ -72,22 +60,14 @@ def push_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     image = {"dtype": "image", "shape": (SIZE, SIZE, 3), "names": ["height", "width", "channel"]}
     vector = {"dtype": "float32", "shape": (2,), "names": None}
     features = {"observation.image": image, "observation.state": vector, "action": vector}
-    dataset = LeRobotDataset.create(
-        "local/tiny", fps=FPS, features=features, root=root, use_videos=False
-    )
+    dataset = LeRobotDataset.create("local/tiny", FPS, features, root=root, use_videos=False)
     rng = np.random.default_rng(0)
     for _ in range(N_EPISODES):
         walk = rng.normal(size=(N_FRAMES + 1, 2)).cumsum(0).astype(np.float32)
-        for t in range(N_FRAMES):
-            picture = rng.integers(0, 256, (SIZE, SIZE, 3), dtype=np.uint8)
-            dataset.add_frame(
-                {
-                    "observation.image": picture,
-                    "observation.state": walk[t],
-                    "action": walk[t + 1],
-                    "task": "push",
-                }
-            )
+        for here, there in pairwise(walk):
+            frame = {"observation.state": here, "action": there, "task": "push"}
+            frame["observation.image"] = rng.integers(0, 256, (SIZE, SIZE, 3), dtype=np.uint8)
+            dataset.add_frame(frame)
         dataset.save_episode()
     dataset.finalize()
     return root
@@ -118,10 +98,21 @@ RECORDED = {
 }
 
 
+def metadata(root: Path) -> LeRobotDatasetMetadata:
+    return LeRobotDatasetMetadata("local/tiny", root=root)
+
+
+def features_of(root: Path) -> dict[str, PolicyFeature]:
+    return dataset_to_policy_features(metadata(root).features)
+
+
 def step(policy: ObActPolicy, n: int = 2, seed: int = 0) -> dict[str, torch.Tensor]:
-    generator = torch.Generator().manual_seed(seed)
-    shapes = {key: feature.shape for key, feature in policy.config.input_features.items()}
-    return {key: torch.rand(n, *shape, generator=generator) for key, shape in shapes.items()}
+    return observation(policy.config, n, seed)
+
+
+def at(time_s: float, batch: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """The batch, seen at a time."""
+    return batch | {"timestamp": torch.tensor([time_s])}
 
 
 def hand_policy(**changes: object) -> ObActPolicy:
@@ -131,9 +122,8 @@ def hand_policy(**changes: object) -> ObActPolicy:
 
 def learner(root: Path, **changes: object) -> ObActPolicy:
     """A policy that is about to learn from recorded episodes."""
-    meta = LeRobotDatasetMetadata("local/tiny", root=root)
-    features = dataset_to_policy_features(meta.features)
-    inputs = {key: x for key, x in features.items() if key != "action"}
+    meta = metadata(root)
+    inputs = {key: feature for key, feature in features_of(root).items() if key != "action"}
     config = ObActConfig(**TINY | HAND | RECORDED | {"input_features": inputs} | changes)
     torch.manual_seed(0)
     return ObActPolicy(config, dataset_stats=meta.stats, dataset_meta=meta).train()
@@ -143,8 +133,7 @@ def batch_of(
     policy: ObActPolicy, root: Path, n: int = 4, episodes: list[int] | None = None
 ) -> dict[str, torch.Tensor]:
     """The first batch that LeRobot would make for a policy."""
-    meta = LeRobotDatasetMetadata("local/tiny", root=root)
-    times = resolve_delta_timestamps(policy.config, meta)
+    times = resolve_delta_timestamps(policy.config, metadata(root))
     found = LeRobotDataset("local/tiny", root=root, delta_timestamps=times, episodes=episodes)
     return next(iter(DataLoader(found, batch_size=n, shuffle=True)))
 
@@ -170,7 +159,8 @@ def test_the_defaults_fit_any_dataset(
         source = LeRobotDataset("local/tiny", root=push_root)
         modify_features(source, remove_features=left_out, output_dir=root)
     bare = {"device": "cpu", "push_to_hub": False} | head
-    policy = ObActPolicy.from_pretrained(lerobot_train(root, tmp_path / "out", bare))
+    checkpoint = lerobot_train(root, tmp_path / "out", NEW | bare, **CHANGED)
+    policy = ObActPolicy.from_pretrained(checkpoint)
     config = policy.config
     assert (config.encoder, config.freeze_encoder, config.forecasts) == ("conv", False, False)
     assert config.embodiment.fps == FPS
@@ -179,7 +169,7 @@ def test_the_defaults_fit_any_dataset(
 
 
 def test_it_learns_from_recorded_episodes_with_the_target_s_path(hand_root: Path, tmp_path: Path):
-    checkpoint = lerobot_train(hand_root, tmp_path / "out", TINY | RECORDED)
+    checkpoint = lerobot_train(hand_root, tmp_path / "out", NEW | TINY | RECORDED)
     policy = ObActPolicy.from_pretrained(checkpoint)
     config = policy.config
     assert config.forecasts
@@ -246,9 +236,8 @@ def test_a_window_shows_the_target_as_it_moves_from_its_first_frame_on(episodes,
     for i, (episode, index) in enumerate(zip(batch["episode_index"], batch["index"], strict=True)):
         first = int(index - policy.targets.first_index[episode]) - 12
         path = torch.from_numpy(paths[int(episode)])
-        for row in (0, 12, 36, 60):
-            place = path[min(max(first + row, 0), len(path) - 1)]
-            torch.testing.assert_close(window.targets.path[i, row], place)
+        shown = torch.arange(first, first + 61).clamp(0, len(path) - 1)
+        torch.testing.assert_close(window.targets.path[i, :61], path[shown])
         assert window.frames.hidden[i].sum() == max(0, -first)
 
 
@@ -274,20 +263,15 @@ def test_a_camera_whose_pose_it_would_not_find_is_refused(hand_root: Path):
 
 
 def test_training_goes_on_and_begins_from_a_checkpoint(push_root: Path, tmp_path: Path):
-    first = lerobot_train(push_root, tmp_path / "first", TINY)
+    first = lerobot_train(push_root, tmp_path / "first", NEW | TINY)
     words = {"config_path": first / "train_config.json", "resume": True, "steps": 4}
     run(["lerobot-train", *options(words)])
     state = tmp_path / "first/checkpoints/000004/training_state/training_step.json"
     assert json.loads(state.read_text())["step"] == 4
 
-    given = {"policy.path": first, "policy.optimizer_lr": 1e-12, "policy.push_to_hub": False}
-    given |= {"dataset.repo_id": "local/tiny", "dataset.root": push_root, "steps": 1}
-    given |= {"output_dir": tmp_path / "tuned", "batch_size": 2, "num_workers": 0}
-    run(["lerobot-train", *options(given)])
-    began, tuned = (
-        load_file(folder / "model.safetensors")
-        for folder in (first, tmp_path / "tuned/checkpoints/last/pretrained_model")
-    )
+    slow = {"path": first, "optimizer_lr": 1e-12}
+    tuned = load_file(lerobot_train(push_root, tmp_path / "tuned", slow) / "model.safetensors")
+    began = load_file(first / "model.safetensors")
     weights = [name for name in began if not name.startswith("average.")]
     assert weights
     for name in weights:
@@ -383,29 +367,16 @@ def test_actions_that_are_displacements_do_not_count_from_the_palm(tmp_path: Pat
     root = generated(
         tmp_path / "grasp", "--image-size", "96", "--control-mode", "grasp", episodes=2
     )
-    policy = learner(root, n_future_steps=0, output_features=features_of(root, "action"))
+    actions = {"action": features_of(root)["action"]}
+    policy = learner(root, n_future_steps=0, output_features=actions)
     assert policy.config.relative_dims == 0
     assert policy(batch_of(policy, root))[0].isfinite()
-
-
-def features_of(root: Path, *keys: str) -> dict[str, PolicyFeature]:
-    meta = LeRobotDatasetMetadata("local/tiny", root=root)
-    return {key: dataset_to_policy_features(meta.features)[key] for key in keys}
-
-
-CHANGED = {"dataset.image_transforms.enable": True}
 
 
 def test_a_frozen_encoder_refuses_images_that_are_changed(image_root: Path, tmp_path: Path):
     frozen = TINY | RECORDED | {"n_future_steps": 0}
     with pytest.raises(ValueError, match=r"image_transforms.enable is true, but must be false"):
-        lerobot_train(image_root, tmp_path / "out", frozen, **CHANGED)
-
-
-def test_an_encoder_that_is_trained_learns_from_images_that_are_changed(
-    push_root: Path, tmp_path: Path
-):
-    lerobot_train(push_root, tmp_path / "out", TINY, **CHANGED)
+        lerobot_train(image_root, tmp_path / "out", NEW | frozen, **CHANGED)
 
 
 def fine_tuned(checkpoint: Path, root: Path, **changes: object) -> ObActPolicy:
@@ -416,8 +387,8 @@ def fine_tuned(checkpoint: Path, root: Path, **changes: object) -> ObActPolicy:
     for name, value in changes.items():
         setattr(config, name, value)
     config.pretrained_path = checkpoint
-    config.output_features = features_of(root, "action")
-    meta = LeRobotDatasetMetadata("local/tiny", root=root)
+    config.output_features = {"action": features_of(root)["action"]}
+    meta = metadata(root)
     return ObActPolicy.from_pretrained(
         checkpoint, config=config, dataset_stats=meta.stats, dataset_meta=meta
     ).train()
@@ -537,25 +508,22 @@ def test_every_frame_has_noise_of_its_own():
 
 def test_frames_that_were_dropped_count_as_time_that_passed_also_between_chunks():
     policy = varied()
-    seen = [
-        step(policy, seed=i) | {"timestamp": torch.tensor([t])}
-        for i, t in enumerate((0.0, 0.1, 0.5))
-    ]
+    times_s = (0.0, 0.1, 0.5)
+    seen = [step(policy, seed=i) for i in range(3)]
+    stamped = [at(time_s, batch) for time_s, batch in zip(times_s, seen, strict=True)]
 
     def acted(batches: list[dict], act=policy.select_action) -> torch.Tensor:
         policy.reset()
         return torch.stack([act(batch) for batch in batches])
 
-    with_drops = acted(seen)
-    on_time = acted([{key: x for key, x in batch.items() if key != "timestamp"} for batch in seen])
+    with_drops = acted(stamped)
+    on_time = acted(seen)
     torch.testing.assert_close(with_drops[0], on_time[0])
     assert not torch.equal(with_drops[2], on_time[2])
-    chunks = acted(seen, policy.predict_action_chunk)
+    chunks = acted(stamped, policy.predict_action_chunk)
     torch.testing.assert_close(chunks[:, :, 0], with_drops)
-    by_the_clock = acted(
-        [batch | {"timestamp": batch["timestamp"].double() + 1.7e9} for batch in seen]
-    )
-    torch.testing.assert_close(by_the_clock, with_drops, atol=1e-4, rtol=0)
+    today = [batch | {"timestamp": batch["timestamp"].double() + 1.7e9} for batch in stamped]
+    torch.testing.assert_close(acted(today), with_drops, atol=1e-4, rtol=0)
 
 
 def test_a_window_reaches_back_over_frames_that_were_dropped():
@@ -563,35 +531,36 @@ def test_a_window_reaches_back_over_frames_that_were_dropped():
 
     def later(first: int) -> torch.Tensor:
         policy.reset()
-        policy.select_action(step(policy, seed=first) | {"timestamp": torch.tensor([0.0])})
-        return policy.select_action(step(policy, seed=9) | {"timestamp": torch.tensor([0.35])})
+        policy.select_action(at(0.0, step(policy, seed=first)))
+        return policy.select_action(at(0.35, step(policy, seed=9)))
 
     assert not torch.equal(later(1), later(2))
+
+
+def set_clock(monkeypatch: pytest.MonkeyPatch, *times_s: float, then: Iterator[float]) -> None:
+    """Let the wall clock say these times, one after the other."""
+    clock = chain(times_s, then)
+    monkeypatch.setattr("time.monotonic", lambda: next(clock))
 
 
 @pytest.mark.parametrize("n_action_steps", [1, 2])
 def test_how_long_a_server_takes_changes_no_chunk_where_the_world_waits(
     n_action_steps: int, monkeypatch: pytest.MonkeyPatch
 ):
-    policy, frames = varied(n_action_steps=n_action_steps), range(4)
+    policy = varied(n_action_steps=n_action_steps)
+    seen = [step(policy, seed=i) for i in range(4)]
+    stamped = [at(0.05 * n_action_steps * i, batch) for i, batch in enumerate(seen)]
 
-    def played(delay_s: float, timestamps: list[torch.Tensor] | None = None) -> torch.Tensor:
-        clock = count(100.0, delay_s)
-        monkeypatch.setattr("time.monotonic", lambda: next(clock))
+    def chunks(batches: list[dict], server_s: float) -> torch.Tensor:
+        set_clock(monkeypatch, then=count(100.0, server_s))
         policy.reset()
-        batches = [step(policy, seed=i) for i in frames]
-        for batch, seconds in zip(batches, timestamps or [], strict=False):
-            batch["timestamp"] = seconds
         return torch.stack([policy.predict_action_chunk(batch) for batch in batches])
 
-    prompt = played(0.05)
-    for other in (
-        played(0.2),
-        played(0.05, [torch.tensor([0.05 * n_action_steps * i]) for i in frames]),
-    ):
-        torch.testing.assert_close(other, prompt, rtol=0, atol=0)
+    prompt = chunks(seen, 0.05)
+    assert torch.equal(chunks(seen, 0.2), prompt)
+    assert torch.equal(chunks(stamped, 0.05), prompt)
     policy.real_time = True
-    assert not torch.equal(played(0.2), played(0.05)), "a robot moves on"
+    assert not torch.equal(chunks(seen, 0.2), chunks(seen, 0.05)), "a robot moves on"
 
 
 def live(policy: ObActPolicy, seed: int) -> torch.Tensor:
@@ -603,21 +572,18 @@ def live(policy: ObActPolicy, seed: int) -> torch.Tensor:
 
 def test_frames_are_ticks_of_the_robots_clock_however_often_and_late_a_caller_asks(monkeypatch):
     policy = varied()
-    clock = chain([100.0, 100.02, 100.06, 100.09, 100.16], repeat(0.0))  # ticks 0, 0, 1, 2 and 3
-    monkeypatch.setattr("time.monotonic", lambda: next(clock))
+    ticks_0_0_1_2_and_3 = (100.0, 100.02, 100.06, 100.09, 100.16)
+    set_clock(monkeypatch, *ticks_0_0_1_2_and_3, then=repeat(0.0))
     hurried = [live(policy, seed=i) for i in (0, 0, 1, 2, 3)]
     policy.reset()
-    regular = [
-        policy.predict_action_chunk(step(policy, seed=i) | {"timestamp": torch.tensor([0.05 * i])})
-        for i in range(4)
-    ]
+    regular = [policy.predict_action_chunk(at(0.05 * i, step(policy, seed=i))) for i in range(4)]
     torch.testing.assert_close(torch.stack(hurried[1:]), torch.stack(regular))
 
 
 def test_the_last_frame_of_the_episode_before_is_forgotten(monkeypatch):
     policy = varied()
-    clock = chain([100.0, 100.05, 110.0, 110.02, 110.07, 110.12, 0.0, 0.05], repeat(0.0))
-    monkeypatch.setattr("time.monotonic", lambda: next(clock))
+    times_s = (100.0, 100.05, 110.0, 110.02, 110.07, 110.12, 0.0, 0.05)
+    set_clock(monkeypatch, *times_s, then=repeat(0.0))
     for i in (8, 9):
         live(policy, seed=i)
     policy.reset()
@@ -661,40 +627,37 @@ def test_real_time_chunking_guides_no_chunk():
 
 
 def test_a_chunk_that_is_late_follows_from_the_palm_as_it_will_be(monkeypatch):
-    """A hand that goes where it was told, and a chunk that is there two frames later. Each further
-    action follows from the palm as it will be by then, too.
+    """A hand that goes where it was told, and a chunk that is there two frames later, after which
+    the next inference begins. Each further action follows from the palm as it will be by then, too.
     """
     policy = forecasting(horizon=6, head="regression", head_options={})
-    robot = policy.config.embodiment
+    step_m = policy.config.embodiment.step_m
+    batch = step(policy)
     asked = []
     condition = policy._actor.condition
 
-    def told(forecast, palm, state):
-        asked.append(palm)
+    def noting(forecast, palm, state):
+        asked.append(palm.float())
         return condition(forecast, palm, state)
 
-    monkeypatch.setattr(policy._actor, "condition", told)
-    batch = step(policy)
-    chunks = {}
+    monkeypatch.setattr(policy._actor, "condition", noting)
+    goals = {}
     palms = []
     for frame in range(8):
-        seen = batch | {"timestamp": torch.tensor([0.05 * frame])}
-        if frame % 2 == 0:  # an inference takes two frames, after which the next one begins
-            chunks[frame] = policy.predict_action_chunk(seen, 2)
+        palm = batch["observation.state"][:, :3].clone()
+        palms.append(palm)
+        if frame % 2 == 0:
+            chunk = policy.predict_action_chunk(at(0.05 * frame, batch), 2)
+            goals |= {frame + i: chunk[:, i, :3] for i in range(2, 6)}
         else:
-            policy.observe(seen)
-        palms.append(batch["observation.state"][:, :3].clone())
-        begun = (frame - 2) // 2 * 2
-        if begun in chunks:
-            goal = chunks[begun][:, frame - begun, :3]
-            batch["observation.state"][:, :3] = stepped(palms[-1], goal, robot.step_m)
-    assert (chunks[0][:, 0] == chunks[0][:, 2]).all(), "what is past stands still"
-    by_chunk = [asked[i : i + 4] for i in range(0, len(asked), 4)]
-    assert [len(palms) for palms in by_chunk] == [4] * 4, "the last four of six actions are decided"
-    for ahead in (0, 1):
-        wanted = palms[6 + ahead]
-        torch.testing.assert_close(by_chunk[2][ahead].float(), wanted, atol=1e-5, rtol=0)
-    assert (palms[6] - palms[4]).norm(dim=-1).min() > robot.step_m
+            policy.observe(at(0.05 * frame, batch))
+        if frame == 0:
+            assert (chunk[:, 0] == chunk[:, 2]).all(), "what is past stands still"
+        if frame in goals:
+            batch["observation.state"][:, :3] = stepped(palm, goals[frame], step_m)
+    third = asked[8:12]  # of each chunk, the last four of six actions are decided
+    torch.testing.assert_close(third[:2], palms[6:], atol=1e-5, rtol=0)
+    assert (palms[6] - palms[4]).norm(dim=-1).min() > step_m
 
 
 def test_each_action_of_a_chunk_follows_from_the_forecast_as_of_its_frame(monkeypatch):
@@ -718,7 +681,7 @@ def test_while_a_chunk_is_awaited_the_last_one_goes_on():
     actions = []
     for i in range(12):
         batch["observation.state"] = batch["observation.state"] + 0.01
-        actions.append(policy.select_action(batch | {"timestamp": torch.tensor([0.05 * i])}))
+        actions.append(policy.select_action(at(0.05 * i, batch)))
     first = torch.stack(actions[:6])
     second = torch.stack(actions[6:])
     assert (first[:3] == first[3]).all(), "nothing was commanded before"
@@ -727,23 +690,9 @@ def test_while_a_chunk_is_awaited_the_last_one_goes_on():
     assert (second[1] != second[2]).any(), "each follows from a decision of its own"
 
 
-def test_without_a_forecast_a_late_chunk_is_the_one_of_a_hand_that_acts_at_once():
-    policy = varied(horizon=8)
-    at_once = policy.predict_action_chunk(step(policy))
-    policy.reset()
-    torch.testing.assert_close(policy.predict_action_chunk(step(policy), 3), at_once)
-
-
-def waiting(policy: ObActPolicy, palms: list[float], told: list[float]) -> torch.Tensor:
-    """Where a hand is expected that was at ``palms`` [m] along x and ``told`` [m] to go there."""
-    commands = policy._commands
-    history = torch.zeros(1, len(palms), 3)
-    history[0, :, 0] = torch.tensor(palms)
-    for frame, goal in enumerate(told):
-        chunk = torch.zeros(1, 1, 18)
-        chunk[:, :, 0] = goal
-        commands.give(chunk, frame, 0)
-    return commands.due(history, len(palms) - 1, 0)[0, 0]
+def along_x(places_m: list[float]) -> torch.Tensor:
+    """Places on the x axis, (1, T, 3)."""
+    return torch.tensor(places_m)[None, :, None] * torch.tensor([1.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize(
@@ -756,9 +705,11 @@ def waiting(policy: ObActPolicy, palms: list[float], told: list[float]) -> torch
     ids=["it hovered where it was told", "it is held", "it goes where it was told"],
 )
 def test_commands_on_their_way_count_unless_the_hand_is_held(palms: list, told: list, due: float):
-    robot = Embodiment(palm_speed_m_s=0.5, delay_frames=1)
-    policy = varied(embodiment=robot)
-    assert float(waiting(policy, palms, told)) == pytest.approx(due, abs=1e-3)
+    commands = CommandBuffer(Embodiment(palm_speed_m_s=0.5, fps=20, delay_frames=1))
+    for frame, goal in enumerate(along_x(told).unbind(1)):
+        commands.give(goal[:, None], frame, 0)
+    expected = commands.due(along_x(palms), len(palms) - 1, 0)
+    torch.testing.assert_close(expected, along_x([due])[:, 0], atol=1e-3, rtol=0)
 
 
 def test_recorded_actions_follow_from_where_the_palm_is_as_in_training():
@@ -769,16 +720,14 @@ def test_recorded_actions_follow_from_where_the_palm_is_as_in_training():
     for before, delay in ((policy.select_action, 0), (policy.observe, 0), (policy.observe, 2)):
         policy.reset()
         for i, batch in enumerate(seen[:3]):
-            before(batch | {"timestamp": torch.tensor([i / 20])})
-        newest = seen[3] | {"timestamp": torch.tensor([3 / 20])}
-        chunks.append(policy.predict_action_chunk(newest, delay))
+            before(at(0.05 * i, batch))
+        chunks.append(policy.predict_action_chunk(at(0.15, seen[3]), delay))
     assert torch.equal(chunks[0], chunks[1])
     assert torch.equal(chunks[0], chunks[2])
 
 
 def test_a_decision_tells_what_it_saw_expects_and_attends_to():
     policy = varied()
-    assert policy.decision is None
     for i in range(3):
         policy.select_action(step(policy, seed=i))
     decision = policy.decision
@@ -860,7 +809,7 @@ def test_training_by_contact_is_not_offered(hand_root: Path, monkeypatch):
         return columns
 
     monkeypatch.setattr(dataset, "columns_of", by_contact)
-    meta = LeRobotDatasetMetadata("local/contact", root=hand_root)
+    meta = metadata(hand_root)
     with pytest.raises(ValueError, match="must be gripped, and training by contact is not offered"):
         ObActPolicy(config, dataset_meta=meta)
 

@@ -9,6 +9,7 @@ from lerobot_policy_obact.modeling_obact import ObActPolicy
 from lerobot_policy_obact.network import ObActModel
 from lerobot_policy_obact.threads import on_one_thread
 
+from tests.checkpoints import observation
 from tests.tools import python
 
 
@@ -31,8 +32,7 @@ def test_acting_takes_one_thread(method: str, actor: Path, monkeypatch) -> None:
         return encode(*args, **kwargs)
 
     monkeypatch.setattr(ObActModel, "encode_images", noting)
-    inputs = policy.config.input_features
-    getattr(policy, method)({key: torch.rand(1, *inputs[key].shape) for key in inputs})
+    getattr(policy, method)(observation(policy.config))
     assert used == [1]
     assert torch.get_num_threads() == 4
 

@@ -17,7 +17,7 @@ from lerobot_policy_obact.windows import Donors, VirtualHands, Window
 from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.nn.attention import SDPBackend, sdpa_kernel
 
-from tests.checkpoints import FEATURES
+from tests.checkpoints import FEATURES, TINY_OBACT
 
 PAST = 13
 FUTURE = 24
@@ -35,8 +35,12 @@ def teacher() -> Teacher:
     return Teacher(20.0, STEP_M, torch.zeros(15), torch.ones(15), 0.03)
 
 
-def windows(b: int = 64, error: torch.Tensor | None = None, begin: int = 5) -> Window:
-    """Windows in which hands at rest watch targets pass in straight lines, all of them in view."""
+def windows(
+    b: int = 64, error: torch.Tensor | float = 0.0, begin: int = 5, length: int = LENGTH
+) -> Window:
+    """Windows in which hands at rest watch targets pass in straight lines, all of them in view; the
+    eye errs by ``error``.
+    """
     generator = torch.Generator().manual_seed(0)
     start = torch.tensor([0.4, 0.0, 0.0]) + 0.02 * torch.randn(b, 1, 3, generator=generator)
     speed = 0.002 * torch.randn(b, 1, 3, generator=generator)
@@ -44,12 +48,11 @@ def windows(b: int = 64, error: torch.Tensor | None = None, begin: int = 5) -> W
     path = start + torch.arange(n)[:, None] * speed
     full = torch.full((b,), n)
     targets = Targets(path, full, full)
-    state = torch.zeros(b, LENGTH, 18)
-    view = camera().seen(path[:, :LENGTH])
-    view = view if error is None else view + error
-    sightings = torch.cat([view, torch.full((b, LENGTH, 2), -2.0)], dim=-1)[:, :, None]
-    hidden = torch.zeros(b, LENGTH, dtype=torch.bool)
-    frames = Frames(sightings, state, torch.arange(LENGTH) / 20.0, hidden)
+    state = torch.zeros(b, length, 18)
+    view = camera().seen(path[:, :length]) + error
+    sightings = torch.cat([view, torch.full((b, length, 2), -2.0)], dim=-1)[:, :, None]
+    hidden = torch.zeros(b, length, dtype=torch.bool)
+    frames = Frames(sightings, state, torch.arange(length) / 20.0, hidden)
     actions = torch.zeros(b, 8, 18)
     weight = torch.ones(b, 8)
     return Window(frames, ~hidden, actions, weight, torch.full((b,), begin), 0, targets)
@@ -58,51 +61,49 @@ def windows(b: int = 64, error: torch.Tensor | None = None, begin: int = 5) -> W
 def policy(**changes: object) -> ObActPolicy:
     torch.manual_seed(0)
     embodiment = Embodiment(calibration=CALIBRATION, palm_speed_m_s=0.5, capture="attach")
-    small = {"dim": 16, "n_heads": 2, "width": 32, "n_points": 4, "head_options": {"width": 16}}
     options = {
         "encoder": "eye",
-        "encoder_options": {"channels": 8},
         "freeze_encoder": True,
         "n_obs_steps": PAST,
         "n_future_steps": FUTURE,
         "embodiment": embodiment,
     }
-    return ObActPolicy(ObActConfig(**small | options | FEATURES | changes))
+    return ObActPolicy(ObActConfig(**TINY_OBACT | options | FEATURES | changes))
 
 
-def hands(**changes: object) -> VirtualHands:
-    actor = policy(**changes)
+def hands(actor: ObActPolicy | None = None) -> VirtualHands:
+    actor = actor or policy()
     return VirtualHands(actor.config, teacher(), actor.acting)
 
 
 # -- transplanted sightings ------------------------------------------------------------------------
 
 
-def test_from_the_recorded_palm_the_recorded_sightings_are_seen():
-    error = 0.05 * torch.randn(64, LENGTH, 3)
-    window = windows(error=error)
-    seen = Donors(window, [camera()]).seen(window.targets.path[:, :LENGTH], window.frames.palm)
-    torch.testing.assert_close(seen, window.frames.sightings, atol=1e-4, rtol=0)
+def seen_from(palm: torch.Tensor, window: Window) -> torch.Tensor:
+    """What palms at (B, L, 3) would have seen of the targets of windows, (B, L, 5)."""
+    path = window.targets.path[:, :LENGTH]
+    return Donors(window, [camera()]).seen(path, palm)[:, :, 0]
+
+
+def view_from(palm: torch.Tensor, window: Window) -> torch.Tensor:
+    """Where their targets truly are in the view, (B, L, 3)."""
+    return camera().seen(window.targets.path[:, :LENGTH] - palm)
 
 
 def test_from_another_palm_the_true_view_is_seen_with_the_error_of_the_same_frame():
-    error = torch.randn(64, 1, 3).expand(-1, LENGTH, -1) * 0.02
+    error = torch.randn(64, 1, 3) * 0.02
     window = windows(error=error)
     palm = window.frames.palm + torch.tensor([0.0, 0.02, -0.01])
-    path = window.targets.path[:, :LENGTH]
-    seen = Donors(window, [camera()]).seen(path, palm)[:, :, 0]
-    view = camera().seen(path - palm)
-    torch.testing.assert_close(seen[..., :2], (view + error)[..., :2], atol=1e-4, rtol=0)
+    seen = seen_from(palm, window)
+    wanted = (view_from(palm, window) + error)[..., :2]
+    torch.testing.assert_close(seen[..., :2], wanted, atol=1e-4, rtol=0)
     assert (seen[..., 3:] == -2).all(), "and is as sure of it"
 
 
 def test_errors_of_the_depth_grow_with_the_distance():
-    error = torch.tensor([0.0, 0.0, 0.1]).expand(64, LENGTH, 3)
-    window = windows(error=error)
-    path = window.targets.path[:, :LENGTH]
+    window = windows(error=torch.tensor([0.0, 0.0, 0.1]))
     far = window.frames.palm - torch.tensor([0.1, 0.0, 0.0])
-    seen = Donors(window, [camera()]).seen(path, far)[:, :, 0, 2]
-    found = seen - camera().seen(path - far)[..., 2]
+    found = seen_from(far, window)[..., 2] - view_from(far, window)[..., 2]
     assert (found > 0.1).all()
     assert (found < 0.2).all()
 
@@ -113,8 +114,7 @@ def test_what_was_seen_of_nothing_is_seen_again_where_the_target_is_out_of_view(
     nothing = torch.full_like(window.frames.sightings, 0.3)
     window = replace(window, targets=behind, frames=replace(window.frames, sightings=nothing))
     palm = window.frames.palm + 0.1 * torch.randn(64, 1, 3)
-    seen = Donors(window, [camera()]).seen(behind.path[:, :LENGTH], palm)
-    assert (seen == 0.3).all()
+    assert (seen_from(palm, window) == 0.3).all()
 
 
 def test_frames_after_the_catch_lend_no_errors():
@@ -122,16 +122,16 @@ def test_frames_after_the_catch_lend_no_errors():
     error[:, 20:] = 5.0  # what the eye makes of a target in the hand
     window = windows(error=error)
     window = replace(window, targets=replace(window.targets, free=torch.full((64,), 20)))
-    path = window.targets.path[:, :LENGTH]
-    seen = Donors(window, [camera()]).seen(path, window.frames.palm)[:, :, 0, :3]
-    torch.testing.assert_close(seen, camera().seen(path), atol=1e-3, rtol=0)
+    palm = window.frames.palm
+    seen = seen_from(palm, window)[..., :3]
+    torch.testing.assert_close(seen, view_from(palm, window), atol=1e-3, rtol=0)
 
 
 # -- hands -----------------------------------------------------------------------------------------
 
 
 def test_recorded_hands_are_shown_as_they_were():
-    window = windows(begin=PAST + 3)
+    window = windows(error=0.05 * torch.randn(64, LENGTH, 3), begin=PAST + 3)
     shown = hands().drawn(window, 0.0)
     torch.testing.assert_close(shown.frames.state, window.frames.state)
     torch.testing.assert_close(shown.frames.sightings, window.frames.sightings, atol=1e-4, rtol=0)
@@ -182,19 +182,9 @@ def test_where_nothing_is_to_be_decided_only_the_forecast_is_learned():
 @pytest.mark.parametrize("late", [0, 3])
 def test_windows_may_be_short(past: int, future: int, late: int):
     actor = policy(n_obs_steps=past, n_future_steps=future)
-    n = past + future
-    window = windows()
-    frames = window.frames
-    frames = replace(
-        frames,
-        sightings=frames.sightings[:, :n],
-        state=frames.state[:, :n],
-        time_s=frames.time_s[:n],
-        hidden=frames.hidden[:, :n],
-    )
-    window = replace(window, frames=frames, recorded=window.recorded[:, :n], delay_frames=late)
-    shown = VirtualHands(actor.config, teacher(), actor.acting).drawn(window, 0.8)
-    assert shown.frames.palm.shape == (64, n, 3)
+    window = replace(windows(length=past + future), delay_frames=late)
+    shown = hands(actor).drawn(window, 0.8)
+    assert shown.frames.palm.shape == (64, past + future, 3)
     losses = window_losses(actor.model, shown, teacher())
     assert all(loss.isfinite().all() for loss in losses.values())
 
@@ -325,22 +315,32 @@ def test_the_closed_loop_teaches_forecast_and_head():
     assert min(pull[4.0]) > 1e-6
 
 
-def test_padded_actions_and_hidden_frames_do_not_count():
+def test_padded_actions_do_not_count():
     actor = policy(forecast_weight=0.0)
-    window = windows(4)
-    hidden = torch.arange(LENGTH).expand(4, LENGTH) < 6
-    padded = torch.ones(4, 8)
-    padded[:, 3:] = 0
-    window = replace(window, action_weight=padded, frames=replace(window.frames, hidden=hidden))
-    torch.manual_seed(0)
-    known = window_losses(actor.model, window, None)["action"]
-    other = window.frames.sightings.clone()
-    other[:, :6] = 9.0
+    weight = torch.ones(4, 8)
+    weight[:, 3:] = 0
+    window = replace(windows(4), action_weight=weight)
     actions = window.actions.clone()
     actions[:, 3:] = 9.0
-    window = replace(window, actions=actions, frames=replace(window.frames, sightings=other))
-    torch.manual_seed(0)
-    torch.testing.assert_close(window_losses(actor.model, window, None)["action"], known)
+    losses = []
+    for one in (window, replace(window, actions=actions)):
+        torch.manual_seed(0)
+        losses.append(window_losses(actor.model, one, None)["action"])
+    torch.testing.assert_close(*losses)
+
+
+def test_hidden_frames_do_not_count():
+    model = policy().model
+    hidden = torch.arange(LENGTH).expand(4, LENGTH) < 6
+    frames = replace(windows(4).frames, hidden=hidden)
+    sightings = frames.sightings.clone()
+    sightings[:, :6] = 9.0
+    rows = torch.tensor([[PAST - 1, LENGTH - 1]]).expand(4, -1)
+    known, other = (
+        model.encode_history(one, rows) for one in (frames, replace(frames, sightings=sightings))
+    )
+    torch.testing.assert_close(other.places, known.places)
+    torch.testing.assert_close(other.features, known.features)
 
 
 def test_a_training_step_mixes_no_devices():
