@@ -105,9 +105,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     spoken = " ".join(["dynahoi", *(word for word in words[:1] if word in COMMANDS)])
 
     with suppress(ValueError):  # outside the main thread
-        signal.signal(
-            signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM)
-        )  # removes what is half made
+        # an exit removes what is half made
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
 
     def run() -> int:
         ensure_caches()

@@ -175,9 +175,8 @@ def _played(motion: str, options: Options) -> Clip:
         given.setdefault("image_size", SHOWN_PX)
     if options.view != EGO_VIEW:
         given["views"] = (*given.get("views", ()), options.view)
-    if not BENCHMARK.splits_with(
-        "motion", motion
-    ):  # not part of the benchmark, so no split lists it
+    # what is not part of the benchmark is listed by no split
+    if not BENCHMARK.splits_with("motion", motion):
         given["motions"] = (motion,)
     recipe = Recipe.of(split=options.split, **playing_rules(given, actor))
     known = kind_seeds(recipe, motion)

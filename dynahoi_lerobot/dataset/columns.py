@@ -216,9 +216,8 @@ def column_array(table: pa.Table, key: str) -> np.ndarray:
             f"its column {key} is of type {column.type}; every row must hold the same number of "
             f"values"
         )
-    return values.to_numpy(zero_copy_only=False).reshape(
-        len(column), -1 if len(column) else 1
-    )  # (n, D)
+    width = -1 if len(column) else 1
+    return values.to_numpy(zero_copy_only=False).reshape(len(column), width)  # (n, D)
 
 
 def numeric_columns(files: Sequence[Path], keys: Sequence[str]) -> list[np.ndarray]:

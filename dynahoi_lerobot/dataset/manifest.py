@@ -152,9 +152,8 @@ def structure_problems(root: Path, manifest: Manifest) -> Iterator[str]:
     for name in manifest.files:
         if not _is_inside(name):
             yield f"the manifest names {name!r}, outside the dataset"
-        elif name != CARD_PATH and not os.path.isfile(
-            root / name
-        ):  # which takes any name, however long
+        # which takes any name, however long
+        elif name != CARD_PATH and not os.path.isfile(root / name):
             yield f"{name} is missing"
     yield from _strays(root, manifest)
 

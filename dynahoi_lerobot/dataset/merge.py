@@ -30,17 +30,9 @@ _Opened = tuple[Path, Iterator[tuple[int, Packet]]]
 """A video and its packets from the next one on, numbered."""
 
 
-def merge(
-    sources: Sequence[Path],
-    root: Path,
-    *,
-    limits: FileLimits | None = None,
-    provenance: dict[str, Any] | None = None,
-) -> Manifest:
+def merge(sources: Sequence[Path], root: Path, limits: FileLimits | None = None) -> Manifest:
     """Merge datasets of this project, in the given order, into a new one; ``root`` appears when it
     is complete.
-
-    Its manifest tells the ``provenance``: recording, seed, encoding and code fingerprint.
 
     Raises:
         FileExistsError: if ``root`` exists.
@@ -71,7 +63,7 @@ def merge(
     yields: Counter[str] = Counter()
     for manifest in manifests:
         yields.update(manifest.yields)
-    return _assemble(root, ((store, None) for store in stores), limits, provenance or {}, yields)
+    return _assemble(root, ((store, None) for store in stores), limits, {}, yields)
 
 
 def merge_in_turn(

@@ -90,9 +90,8 @@ def out_of_limits(episode: Episode) -> str | None:
 
 def jumps(episode: Episode) -> str | None:
     """Find steps of the hand that its servos cannot make within a frame."""
-    from dynahoi_lerobot.captures import (
-        CAPTURES,
-    )  # imports MuJoCo, which reading a dataset does not need
+    # imports MuJoCo, which reading a dataset does not need
+    from dynahoi_lerobot.captures import CAPTURES
 
     control = CONTROL_CLASSES[episode.meta.control_class]
     palm_speed_m_s = CAPTURES[episode.meta.capture].palm_speed_m_s(control)

@@ -173,7 +173,7 @@ class StoredEpisode:
     """One episode as the tables hold it.
 
     Attributes:
-        row: its row of the episode table, with all columns.
+        row: its row of the episode table; with its statistics only where all episodes are read.
         frames: its rows of the frame table.
         privileged: its rows of the privileged tables.
     """
@@ -415,14 +415,10 @@ class Store:
             return images
 
     def row(self, index: int) -> EpisodeRow:
-        """Return an episode's row with all its columns; IndexError if there is no such episode."""
+        """Return one of ``rows``; IndexError if there is no such episode."""
         if not 0 <= index < self.episodes:
             raise IndexError(f"episode {index} does not exist; {self.root} holds {self.episodes}")
-        for path in self.row_files():
-            rows = rows_of_episode(path, index)
-            if rows.num_rows:
-                return rows.to_pylist()[0]
-        raise IndexError(f"{self.root} holds no row of episode {index}")
+        return self.rows[index]
 
     def stored(self, index: int) -> StoredEpisode:
         """Return an episode as the tables hold it; IndexError if there is no such episode."""

@@ -26,9 +26,8 @@ from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.reading import regular
 from dynahoi_lerobot.core.registry import known
 
-av.logging.set_libav_level(
-    av.logging.ERROR
-)  # what FFmpeg prints wherever LeRobot has restored its own callback
+# what FFmpeg prints wherever LeRobot has restored its own callback
+av.logging.set_libav_level(av.logging.ERROR)
 
 CODECS = {"h264": "libx264", "images": ""}
 """What stores images, and its encoder in FFmpeg: LeRobot's tools turn either into any other codec
@@ -221,9 +220,8 @@ def stored_packets(path: Path) -> Iterator[Packet]:
         OSError: if the file cannot be read as a video.
     """
     with av.open(str(regular(path)), format="mp4") as container:
-        yield from (
-            packet for packet in container.demux(video=0) if packet.size
-        )  # the last one only flushes
+        # the last one only flushes
+        yield from (packet for packet in container.demux(video=0) if packet.size)
 
 
 def stream_problem(path: Path) -> str | None:

@@ -259,13 +259,14 @@ def load_policy(
     config = _config(folder, settings)
     config.device = device or config.device
     base = base_folder(folder)
-    for file in {(base or folder) / WEIGHTS, *folder.glob("*.safetensors")}:
+    weights_folder = base or folder
+    for file in {weights_folder / WEIGHTS, *folder.glob("*.safetensors")}:
         tensor_shapes(file)  # LeRobot would wait for a pipe, and read a damaged file last
     overrides = {"device_processor": {"device": str(config.device)}}
     try:
         with _quiet():
             policy_class = get_policy_class(config.type)
-            policy = policy_class.from_pretrained(str(base or folder), config=config).eval()
+            policy = policy_class.from_pretrained(str(weights_folder), config=config).eval()
             weights = policy.state_dict()
             adapted = {} if base is None else _adapt(policy, folder)
         pipelines = make_pre_post_processors(
@@ -274,7 +275,7 @@ def load_policy(
     except Exception as error:  # whatever a policy or a processor raises about a bad checkpoint
         raise PolicyError(f"{folder} cannot be loaded: {reason(error)}") from error
     # a base may hold an average of its weights as well, which an adapter does without
-    _check_fit(weights, (base or folder) / WEIGHTS, surplus_allowed=base is not None)
+    _check_fit(weights, weights_folder / WEIGHTS, surplus_allowed=base is not None)
     if adapted:
         _check_fit(adapted, folder / ADAPTER_WEIGHTS)
     for name, pipeline in zip(PIPELINES, pipelines, strict=True):

@@ -279,9 +279,8 @@ def _played(
     ) as progress:
         for group in batched(seeds, size):
             specs = sample_specs(recipe, group, threads=0)
-            if (
-                len(group) < batch.size
-            ):  # a policy's noise depends on the number of worlds, also when it is resumed
+            # a policy's noise depends on the number of worlds, also when it is resumed
+            if len(group) < batch.size:
                 batch = WorldBatch(recipe.rules, len(group))
             played = []
             images = not shown.isdisjoint(group)

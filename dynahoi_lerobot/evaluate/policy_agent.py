@@ -224,8 +224,7 @@ class PolicyAgent(Agent):
         batch = as_policies_take(as_gym(observation))
         batch["task"] = list(observation.tasks)
         batch = self._before(batch)
-        batch["timestamp"] = torch.full(
-            (len(observation.tasks),), self._frame * CONTROL_DT
-        )  # a policy's history
+        n_worlds = len(observation.tasks)
+        batch["timestamp"] = torch.full((n_worlds,), self._frame * CONTROL_DT)  # for its history
         self._frame += 1
         return batch

@@ -15,8 +15,6 @@ Z_95 = 1.959963984540054
 """Two-sided 95 % quantile of the standard normal distribution."""
 RESAMPLES = 2000
 SEED = 0
-RESAMPLED_AT_ONCE = 2_000_000
-"""Values resampled at once, which bounds memory for any number of episodes."""
 
 
 def wilson(successes: int, count: int) -> tuple[float, float]:
@@ -33,23 +31,13 @@ def wilson(successes: int, count: int) -> tuple[float, float]:
     return max(0.0, min(center - half, rate)), min(1.0, max(center + half, rate))
 
 
-def bootstrap_means(values: np.ndarray, resamples: int = RESAMPLES, seed: int = SEED) -> np.ndarray:
-    """Return (resamples,) means of (n,) ``values`` resampled with replacement, the same for any
-    order of the values.
+def bootstrap(values: np.ndarray) -> tuple[float, float]:
+    """Return the seeded 95 % percentile interval of the mean of (n,) ``values``, in their unit, the
+    same for any order of the values.
     """
     values = np.sort(np.asarray(values, np.float64))
-    rng = np.random.default_rng(seed)
-    rows = max(1, RESAMPLED_AT_ONCE // values.size)
-    counts = [min(rows, resamples - start) for start in range(0, resamples, rows)]
-    picks = (rng.integers(values.size, size=(count, values.size)) for count in counts)
-    return np.concatenate([values[pick].mean(axis=1) for pick in picks])
-
-
-def bootstrap(
-    values: np.ndarray, resamples: int = RESAMPLES, seed: int = SEED
-) -> tuple[float, float]:
-    """Return the seeded 95 % percentile interval of the mean of (n,) ``values``, in their unit."""
-    low, high = np.percentile(bootstrap_means(values, resamples, seed), [2.5, 97.5])
+    picks = np.random.default_rng(SEED).integers(values.size, size=(RESAMPLES, values.size))
+    low, high = np.percentile(values[picks].mean(axis=1), [2.5, 97.5])
     return float(low), float(high)
 
 

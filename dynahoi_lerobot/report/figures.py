@@ -500,9 +500,8 @@ def joint_deltas(entries: Sequence[Entry]) -> Figure:
     [%].
     """
     drawing, axes = subplots(3, 5, 5.4 + legend_height_in(entries), sharex=True, sharey=True)
-    deltas = [
-        np.rad2deg(command_deltas(entry.results)[:, PALM_DOF:]) for entry in entries
-    ]  # (K, 15) [deg]
+    # (K, 15) [deg] of each entry
+    deltas = [np.rad2deg(command_deltas(entry.results)[:, PALM_DOF:]) for entry in entries]
     for joint, name in enumerate(JOINT_NAMES):
         finger, part = divmod(joint, 3)
         panel = axes[5 * part + finger]
@@ -520,9 +519,8 @@ def palm_displacements(entries: Sequence[Entry]) -> Figure:
     share of frames [%].
     """
     drawing, axes = subplots(1, 3, 2.6 + legend_height_in(entries), sharey=True)
-    deltas = [
-        1000 * command_deltas(entry.results)[:, :PALM_DOF] for entry in entries
-    ]  # (K, 3) [mm]
+    # (K, 3) [mm] of each entry
+    deltas = [1000 * command_deltas(entry.results)[:, :PALM_DOF] for entry in entries]
     for axis, panel in enumerate(axes):
         overlay(panel, [values[:, axis] for values in deltas], entries)
         panel.set_xlabel(f"change along {'xyz'[axis]} [mm]")

@@ -195,9 +195,8 @@ def _hand_distance() -> np.ndarray:
     _, rotation, half = _camera()
     across = np.linspace(-half, half, SILHOUETTE_SIZE)
     x, y = np.meshgrid(across, across)
-    rays = product(
-        np.stack([x, y, -np.ones_like(x)], axis=-1).reshape(-1, 3), rotation.T
-    )  # (K * K, 3)
+    directions = np.stack([x, y, -np.ones_like(x)], axis=-1)  # (K, K, 3)
+    rays = product(directions.reshape(-1, 3), rotation.T)  # (K * K, 3)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     geom = np.zeros(len(rays), np.int32)
     distance = np.zeros(len(rays))

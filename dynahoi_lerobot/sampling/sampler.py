@@ -220,9 +220,8 @@ class Candidate:
             target_path_w=paths_w[-1],
             code=recipe_code(self.recipe),
         )
-        spec = randomize_appearance(
-            furnish(spec), self.recipe.appearance
-        )  # around the longest path
+        spec = furnish(spec)  # around the longest path
+        spec = randomize_appearance(spec, self.recipe.appearance)
         played = self.recipe.split_definition.path_speeds.index(self.recipe.path_speed)
         spec = replace(spec, motion=self.motions[played], target_path_w=paths_w[played])
         return with_screen(spec) if PROTOCOLS[self.recipe.rules.protocol].has_screen else spec

@@ -80,10 +80,8 @@ def run(options: Options) -> int:
         findings = verify(options.root, replayed=options.replay, progress=bar.update, note=print)
     for finding in findings:
         print(finding)
-    print(
-        f"{options.root}: "
-        f"{f'{len(findings)} findings' if findings else f'{episodes} episodes, no findings'}"
-    )
+    told = f"{len(findings)} findings" if findings else f"{episodes} episodes, no findings"
+    print(f"{options.root}: {told}")
     if options.json:
         options.json.write_text(json.dumps([asdict(finding) for finding in findings], indent=2))
     return 1 if findings else 0

@@ -106,9 +106,8 @@ def find_outliers(root: Path, margin: float = MARGIN, column: str = "action") ->
     outliers: dict[int, str] = {}
     for row in store.rows:
         part = values[row["dataset_from_index"] : row["dataset_to_index"]]
-        beyond = np.nan_to_num(
-            np.maximum(low - part, part - high), nan=np.inf
-        )  # (T, D), positive outside
+        beyond = np.maximum(low - part, part - high)  # (T, D), positive outside
+        beyond = np.nan_to_num(beyond, nan=np.inf)
         frame, axis = np.unravel_index(int(beyond.argmax()), beyond.shape)
         if beyond[frame, axis] > ROUNDING:
             count = int((beyond[:, axis] > ROUNDING).sum())

@@ -4,7 +4,7 @@ What an episode is follows without playing it; played again, it has the same col
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from itertools import islice
+from itertools import batched, islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -65,19 +65,17 @@ def seed_problems(
         )
     batch = WorldBatch(recipe.rules, 1)
     episodes = store.stored_episodes()
-    for first in range(0, len(seeds), AT_ONCE):
-        for offset, spec in enumerate(
-            sample_specs(recipe, seeds[first : first + AT_ONCE], threads=0)
-        ):
-            stored = store.as_episode(next(episodes), images=False)
+    for some in batched(seeds, AT_ONCE):
+        for spec in sample_specs(recipe, some, threads=0):
+            rows = next(episodes)
+            stored = store.as_episode(rows, images=False)
             job = Job(0, spec, 0, stored.meta.attempts)
             meta = episode_meta(job, recipe.rules, recording.actor or recording.expert_name)
             constants = episode_constants(batch, spec, None)
             wanted = {name: value for name, value in constants.items() if name not in PLAYED}
             problems = differences(vars(meta) | wanted, vars(stored.meta) | vars(stored))
-            yield from (
-                f"episode {first + offset} has by its seed {problem}" for problem in problems
-            )
+            index = rows.row["episode_index"]
+            yield from (f"episode {index} has by its seed {problem}" for problem in problems)
 
 
 def differences(made: Mapping[str, Any], stored: Mapping[str, Any]) -> Iterator[str]:

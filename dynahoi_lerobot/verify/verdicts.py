@@ -173,9 +173,8 @@ def _bend(episode: Episode) -> np.ndarray:
     """
     target = np.linalg.norm(np.diff(episode.target_velocity_w[:, :3], axis=0), axis=1)
     steps = np.diff(episode.palm_pos_h, axis=0)  # (T - 1, 3)
-    turns = np.linalg.norm(
-        np.diff(steps, axis=0, prepend=steps[:1], append=steps[-1:]), axis=1
-    )  # (T,)
+    changes = np.diff(steps, axis=0, prepend=steps[:1], append=steps[-1:])  # (T, 3)
+    turns = np.linalg.norm(changes, axis=1)  # (T,)
     return CONTROL_DT / 4 * target + np.maximum(turns[:-1], turns[1:]) / 2
 
 
