@@ -56,9 +56,8 @@ def merge(sources: Sequence[Path], root: Path, limits: FileLimits | None = None)
                 "were generated with the same options"
             )
     manifests = [Manifest.read(store.root) for store in stores]
-    found = [
-        (store.root, manifest.benchmark) for store, manifest in zip(stores, manifests, strict=True)
-    ]
+    benchmarks = [manifest.benchmark for manifest in manifests]
+    found = zip(sources, benchmarks, strict=True)
     refuse_to_mix("benchmark", found, "merge datasets of one version")
     yields: Counter[str] = Counter()
     for manifest in manifests:

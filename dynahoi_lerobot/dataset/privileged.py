@@ -109,16 +109,12 @@ class Privileged:
             KeyError: if a column is missing.
             ValueError: if a cell has another shape or type than its feature.
         """
-        stored = (feature for feature in privileged_features() if not feature.derived)
-        return {
-            f.name: (self._by_frame if f.per == "frame" else self._of_episode)(f) for f in stored
-        }
+        return {f.name: self._value(f) for f in privileged_features() if not f.derived}
 
-    def _by_frame(self, feature: Feature) -> np.ndarray:
-        values = column_array(self.frames, feature.key)  # (T, D)
-        return values.astype(feature.dtype, copy=False).reshape(len(self.frames), *feature.shape)
-
-    def _of_episode(self, feature: Feature) -> Any:
+    def _value(self, feature: Feature) -> Any:
+        if feature.per == "frame":
+            rows = column_array(self.frames, feature.key)  # (T, D)
+            return rows.astype(feature.dtype, copy=False).reshape(len(rows), *feature.shape)
         array = cell_array(self.episode[feature.key][0].as_py(), feature)
         if feature.shape:
             return array
