@@ -96,7 +96,7 @@ def test_a_plugin_that_cannot_be_imported_is_a_problem(monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize(
-    ("cores", "share", "minutes"), [(1, 1.0, 11), (2, 1.0, 7), (16, 1.0, 7), (2, 0.5, 13)]
+    ("cores", "share", "minutes"), [(1, 1.0, 9), (2, 1.0, 6), (16, 1.0, 6), (2, 0.5, 11)]
 )
 def test_the_quickstart_takes_as_long_as_where_it_was_timed_by_pace(
     monkeypatch, cores, share, minutes
