@@ -111,7 +111,7 @@ def run_quickstart(folder: Path) -> None:
     for log in ("lerobot_train.log", "lerobot_eval.log"):
         assert "libtorchcodec" not in (out / log).read_text()
     run(["dynahoi", "verify", str(out / "dataset")])
-    kinds = sorted(quickstart.KINDS[: quickstart.TINY.kinds])
+    kinds = sorted(quickstart.Options(tiny=True).kinds)
     for name in ("obact", *quickstart.BASELINES):
         rows = read_results(out / "results" / name).rows
         assert sorted(row["kind"] for row in rows) == kinds
