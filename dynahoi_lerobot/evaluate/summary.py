@@ -15,6 +15,8 @@ Z_95 = 1.959963984540054
 """Two-sided 95 % quantile of the standard normal distribution."""
 RESAMPLES = 2000
 SEED = 0
+RESAMPLED_AT_ONCE = 2_000_000
+"""Values resampled at once, which bounds memory for any number of episodes."""
 
 
 def wilson(successes: int, count: int) -> tuple[float, float]:
@@ -36,8 +38,14 @@ def bootstrap(values: np.ndarray) -> tuple[float, float]:
     same for any order of the values.
     """
     values = np.sort(np.asarray(values, np.float64))
-    picks = np.random.default_rng(SEED).integers(values.size, size=(RESAMPLES, values.size))
-    low, high = np.percentile(values[picks].mean(axis=1), [2.5, 97.5])
+    rng = np.random.default_rng(SEED)
+    at_once = max(1, RESAMPLED_AT_ONCE // values.size)
+    means = []
+    for start in range(0, RESAMPLES, at_once):
+        count = min(at_once, RESAMPLES - start)
+        picks = rng.integers(values.size, size=(count, values.size))
+        means.append(values[picks].mean(axis=1))
+    low, high = np.percentile(np.concatenate(means), [2.5, 97.5])
     return float(low), float(high)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from dynahoi_lerobot.core.nested import changed
+from dynahoi_lerobot.evaluate import summary
 from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.evaluate.rows import STRATA, episode_row
 from dynahoi_lerobot.evaluate.summary import Estimate, bootstrap, wilson
@@ -91,6 +92,15 @@ def test_bootstrap_is_deterministic_blind_to_order_and_draws_from_all_values():
     values = np.random.default_rng(0).normal(size=50)
     assert bootstrap(values) == bootstrap(values[::-1].copy())
     assert bootstrap(np.array([0.0, 1.0])) == (0.0, 1.0)
+
+
+@pytest.mark.parametrize("resamples_at_once", [1, 7])
+def test_bootstrap_in_pieces_gives_the_same_interval(resamples_at_once: int, monkeypatch):
+    """Pieces bound its memory; 7 does not divide the number of resamples."""
+    values = np.random.default_rng(0).normal(size=51)
+    whole = bootstrap(values)
+    monkeypatch.setattr(summary, "RESAMPLED_AT_ONCE", resamples_at_once * len(values))
+    assert bootstrap(values) == whole
 
 
 def test_bootstrap_covers_the_true_mean_about_95_times_of_100():
