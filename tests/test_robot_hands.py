@@ -137,7 +137,7 @@ def test_the_expert_catches_with_it(robot: str, capture: str) -> None:
 
 
 @every_robot
-def test_the_camera_sees_past_it(robot: str) -> None:
+def test_policies_see_the_same_columns_and_the_camera_sees_past_it(robot: str) -> None:
     bundled, batch = (
         WorldBatch(Rules(hand=hand, image_size=64), 11) for hand in ("capsule", robot)
     )
@@ -148,6 +148,9 @@ def test_the_camera_sees_past_it(robot: str) -> None:
     assert (seen[1] >= seen[0]).mean() > 0.9
     shown = batch.cameras.segmentation()
     assert 0.03 < np.isin(shown, batch.scene.hand_geoms).mean() < 0.4
+    for name in ("state", "phase"):
+        one, other = (getattr(b.observe(images=False), name) for b in (batch, bundled))
+        assert (one.shape, one.dtype) == (other.shape, other.dtype)
 
 
 def test_without_network_or_copy_one_sentence_says_what_to_do(tmp_path, monkeypatch, capsys):

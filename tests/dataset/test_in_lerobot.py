@@ -12,7 +12,7 @@ import pytest
 import torch
 from datasets import load_dataset
 from lerobot.datasets.compute_stats import aggregate_stats
-from lerobot.datasets.dataset_tools import merge_datasets
+from lerobot.datasets.dataset_tools import delete_episodes, merge_datasets, split_dataset
 from lerobot.datasets.language_render import active_at
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot.datasets.video_utils import RGBEncoderConfig
@@ -192,8 +192,12 @@ def test_datasets_loads_the_frames_and_nothing_else_by_the_card(dataset, tmp_pat
 MEASURED = ("ego_depth", "side_segmentation")
 
 
-def test_measurements_are_not_encoded_as_video(tmp_path: Path):
-    measured = write(tmp_path / "d", range(3), views=("side", *MEASURED))
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory) -> Path:
+    return write(tmp_path_factory.mktemp("measured") / "d", range(3), views=("side", *MEASURED))
+
+
+def test_measurements_are_not_encoded_as_video(measured: Path):
     opened = open_dataset(measured)
     keys = [f"observation.images.{view}" for view in MEASURED]
     assert opened.meta.image_keys == keys
@@ -206,6 +210,21 @@ def test_measurements_are_not_encoded_as_video(tmp_path: Path):
     shown = varied_episode(0, views=("side", *MEASURED)).images[MEASURED[0]]
     np.testing.assert_array_equal(image, shown[4])
     assert verify(measured) == []
+
+
+def test_lerobot_edits_videos_and_images_side_by_side(measured: Path, tmp_path: Path):
+    source = open_dataset(measured)
+    delete_episodes(source, [0], tmp_path / "fewer", REPO)
+    split_dataset(source, {"one": [0], "two": [1, 2]}, tmp_path)
+    merge_datasets([source, source], REPO, tmp_path / "merged")
+    edits = {"fewer": [1, 2], "one": [0], "two": [1, 2], "merged": [0, 1, 2] * 2}
+    for name, seeds in edits.items():
+        edited = open_dataset(tmp_path / name)
+        assert edited.num_frames == sum(LENGTHS[seed] for seed in seeds)
+        wanted = varied_episode(seeds[-1], views=("side", *MEASURED)).images["ego_depth"][-1]
+        image = edited[len(edited) - 1]["observation.images.ego_depth"].numpy() * 255
+        np.testing.assert_array_equal(np.moveaxis(image, 0, -1).round(), wanted)
+        check_images(edited, len(edited) - 1, seeds[-1], -1)
 
 
 STATE = "observation.state"

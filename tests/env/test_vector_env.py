@@ -12,7 +12,7 @@ import pytest
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
-from gymnasium.wrappers.vector import RecordEpisodeStatistics
+from gymnasium.wrappers.vector import FlattenObservation, RecordEpisodeStatistics
 from lerobot_env_dynahoi.task_env import ResultsLog, TaskEnv
 
 from dynahoi_lerobot.core.episode import closure, potential
@@ -167,8 +167,11 @@ def test_an_autoreset_mode_changes_when_episodes_begin_and_nothing_else() -> Non
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_gymnasiums_statistics_understand_every_autoreset_mode(mode: AutoresetMode) -> None:
-    env = RecordEpisodeStatistics(vector(autoreset_mode=mode, reward="dense", image_size=0))
+def test_gymnasiums_vector_wrappers_understand_every_autoreset_mode(mode: AutoresetMode) -> None:
+    env = vector(autoreset_mode=mode, reward="dense", image_size=0)
+    if mode != AutoresetMode.SAME_STEP:  # which gymnasium's observation wrappers refuse
+        env = FlattenObservation(env)
+    env = RecordEpisodeStatistics(env)
     env.reset(seed=0)
     rewards = np.zeros(2)
     ended = np.zeros(2, bool)

@@ -31,7 +31,13 @@ def test_results_of_another_evaluation_stay_and_what_differs_is_named(tmp_path, 
     dynahoi(*HOLD, "--out", tmp_path)
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     capsys.readouterr()
-    for option, value in (("policy", "pursuit"), ("split", "val"), ("control_class", "late")):
+    for option, value in (
+        ("policy", "pursuit"),
+        ("split", "val"),
+        ("control_class", "late"),
+        ("render_noise", "2"),
+        ("capture", "contact"),
+    ):
         dynahoi(*HOLD, f"--{option.replace('_', '-')}={value}", "--out", tmp_path, code=2)
         assert option in capsys.readouterr().err
     dynahoi(*HOLD, "--out", tmp_path, "--per-kind")  # it is finished

@@ -216,6 +216,9 @@ def test_a_checkpoint_brings_its_own_weights(
     torch.testing.assert_close(losses(again, batch), losses(policy, batch))
     chunks = [one.predict_action_chunk(now(batch)) for one in (again, policy)]
     torch.testing.assert_close(*chunks)
+    if kind is UPVLAPolicy:
+        images = [one.predict_image(now(batch)) for one in (again, policy)]
+        torch.testing.assert_close(*images)
 
 
 def test_the_vision_tower_and_the_image_tokenizer_stay_as_they_are(models: Path) -> None:
