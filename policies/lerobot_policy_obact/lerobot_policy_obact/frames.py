@@ -51,26 +51,28 @@ class Frames(Record):
 
 
 class ObservationHistory:
-    """The last frames of the episodes that are played.
+    """The last ``length`` frames of the episodes that are played, at ``fps`` ticks a second.
 
     Attributes:
-        newest: number of the newest frame in its episode, -1 before the first.
-        now_s: when that was seen [s].
+        ticks: of the frames, counted from the first one of the episode, oldest first; empty before
+            that.
+        now_s: when the newest was seen [s].
         began_s: when the first was seen [s].
     """
 
-    def __init__(self, length: int) -> None:
+    def __init__(self, length: int, fps: float) -> None:
         self._frames: deque[Frames] = deque(maxlen=length)
-        self.newest = -1
+        self._fps = fps
+        self.ticks: deque[int] = deque(maxlen=length)
         self.now_s = 0.0
         self.began_s = 0.0
 
     def add(self, sightings: Tensor, state: Tensor, time_s: float) -> None:
         """Add what B environments show at ``time_s``: ``(B, C, 5 + E)`` and ``(B, S)``."""
-        if self.newest < 0:
+        if not self.ticks:
             self.began_s = time_s
         self.now_s = time_s
-        self.newest += 1
+        self.ticks.append(self._tick(time_s))
         # counted from the first frame, because single precision holds no times of day, and rounded,
         # so that timestamps in single precision and counting say the same
         elapsed_s = state.new_tensor([round(time_s - self.began_s, 4)])
@@ -81,12 +83,13 @@ class ObservationHistory:
         kept = [frame[rows] for frame in self._frames]
         self._frames = deque(kept, maxlen=self._frames.maxlen)
 
-    def tick(self, now_s: float, fps: float) -> float:
-        """Return the time of a robot's clock that is nearest to ``now_s``, after the newest
-        frame.
-        """
-        tick_s = self.began_s + round((now_s - self.began_s) * fps) / fps
-        return max(tick_s, self.now_s + 1 / fps)
+    def next_tick_s(self, now_s: float) -> float:
+        """Return the time of the tick that is nearest to ``now_s``, after the newest frame [s]."""
+        tick_s = self.began_s + self._tick(now_s) / self._fps
+        return max(tick_s, self.now_s + 1 / self._fps)
+
+    def _tick(self, time_s: float) -> int:
+        return round((time_s - self.began_s) * self._fps)
 
     def frames(self) -> Frames:
         """Return the T frames, oldest first."""

@@ -109,7 +109,7 @@ class ObActPolicy(PreTrainedPolicy):
         if self.targets is not None:
             teacher = self.targets.teacher
             window = self._with_hands(window)
-        losses = window_losses(self.model if self.training else self.acting, window, teacher)
+        losses = window_losses(self._learner, window, teacher)
         logged = {name: float(loss.detach().mean()) for name, loss in losses.items()}
         total = torch.stack([self._weight(name) * loss for name, loss in losses.items()]).sum(0)
         if self.targets is not None:
@@ -118,6 +118,11 @@ class ObActPolicy(PreTrainedPolicy):
         if reduction == "none":
             return rearrange(total, "(b n) -> b n", b=len(batch[ACTION])).mean(1), logged
         return total.mean(), logged
+
+    @property
+    def _learner(self) -> ObActModel:
+        """The weights whose losses are taken: those that learn, or in evaluation those that act."""
+        return self.model if self.training else self.acting
 
     def _window(self, batch: Batch) -> Window:
         """Return the windows of a batch, with the targets in them, if the dataset has these."""
@@ -172,7 +177,7 @@ class ObActPolicy(PreTrainedPolicy):
             observed = config.cameras[0]
             images = {key: batch[key] for key in config.cameras}
             before = {key: torch.cat([x[:, :1], x[:, :-1]], dim=1) for key, x in images.items()}
-            sightings = self.model.encode_images(images, before)
+            sightings = self._learner.encode_images(images, before)
         offsets = torch.tensor(config.observation_delta_indices, device=sightings.device)
         all_frames = torch.zeros(sightings.shape[:2], dtype=torch.bool, device=sightings.device)
         recorded = ~batch.get(f"{observed}_is_pad", all_frames)
@@ -201,9 +206,7 @@ class ObActPolicy(PreTrainedPolicy):
             self.average.update_parameters(self.model)
 
     def get_optim_params(self) -> list[dict[str, Any]]:
-        """Return parameter groups: weight decay for matrices, none for biases, norms and biases by
-        age.
-        """
+        """Return parameter groups: weight decay for matrices and tables, none for vectors."""
         trained = [p for p in self.model.parameters() if p.requires_grad]
         return [
             {"params": [p for p in trained if p.dim() >= 2]},
@@ -233,7 +236,7 @@ class ObActPolicy(PreTrainedPolicy):
     def reset(self) -> None:
         """Forget the last episode."""
         self._actors: list[ObActModel] = []  # in a list, or PyTorch would save it with the weights
-        self._history = ObservationHistory(self.config.history_steps)
+        self._history = ObservationHistory(self.config.history_steps, self.config.embodiment.fps)
         self._stale = False  # whether the only frame is the last one of the episode before
         self._action_queue: deque[Tensor] = deque()
         self._commands = CommandBuffer(self.config.embodiment)
@@ -314,13 +317,13 @@ class ObActPolicy(PreTrainedPolicy):
             # the last frame of the episode before: the policy acts on that, and forgets it when
             # another frame comes, with which the episode begins
             again = self._is_shown_again(batch)
-            if again and self._history.newest >= 0:
+            if again and self._history.ticks:
                 return
             if self._stale:
                 self.reset()
             self._stale = again
-            if self._history.newest >= 0:
-                now_s = self._history.tick(now_s, self.config.embodiment.fps)
+            if self._history.ticks:
+                now_s = self._history.next_tick_s(now_s)
         self._see(batch, now_s)
 
     def _is_shown_again(self, batch: Batch) -> bool:
@@ -336,7 +339,7 @@ class ObActPolicy(PreTrainedPolicy):
         """
         model = self._actor
         cameras = self.config.cameras
-        before = self._shown if self._shown and self._history.newest >= 0 else batch
+        before = self._shown if self._shown and self._history.ticks else batch
         known = len(before[cameras[0]])
         given = len(batch[cameras[0]])
         if known != given:
@@ -371,7 +374,7 @@ class ObActPolicy(PreTrainedPolicy):
             intercept=origin[:, 0],
             attention=forecast.attention,
         )
-        return self._commands.give(actions[:, :n_actions], self._history.newest, inference_delay)
+        return self._commands.give(actions[:, :n_actions], self._history.ticks[-1], inference_delay)
 
     def _decide(self, forecast: Forecast, palm: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """Return the chunk that the head samples, ``(B, H, A)``, and the places from which its
@@ -379,7 +382,7 @@ class ObActPolicy(PreTrainedPolicy):
         """
         model = self._actor
         context, origin = model.condition(forecast, palm, state)
-        chunk = model.unnormalize(model.head.sample(context, self._history.newest), origin)
+        chunk = model.unnormalize(model.head.sample(context, self._history.ticks[-1]), origin)
         return chunk.float(), origin
 
     def _rolled_out(
@@ -393,7 +396,7 @@ class ObActPolicy(PreTrainedPolicy):
         is for the frame in which inference ends, and stands for those before.
         """
         embodiment = self.config.embodiment
-        palm = self._commands.due(frames.palm, self._history.newest, inference_delay)
+        palm = self._commands.due(frames.palm, self._history.ticks, inference_delay)
         effective = inference_delay + embodiment.delay_frames
         decided = []
         for ahead in range(max(1, n_actions - inference_delay)):

@@ -696,20 +696,36 @@ def along_x(places_m: list[float]) -> torch.Tensor:
 
 
 @pytest.mark.parametrize(
-    ("palms", "told", "due"),
+    ("ticks", "palms", "told", "due"),
     [
-        ([0.1, 0.1, 0.1, 0.1], [0.1, 0.1, 0.2], 0.125),
-        ([0.1, 0.1, 0.1, 0.1], [0.2, 0.2, 0.2], 0.1),
-        ([0.1, 0.125, 0.15, 0.175], [0.2, 0.2, 0.3], 0.2),
+        ([0, 1, 2, 3], [0.1, 0.1, 0.1, 0.1], [0.1, 0.1, 0.2], 0.125),
+        ([0, 1, 2, 3], [0.1, 0.1, 0.1, 0.1], [0.2, 0.2, 0.2], 0.1),
+        ([0, 1, 2, 3], [0.1, 0.125, 0.15, 0.175], [0.2, 0.2, 0.3], 0.2),
+        ([0, 3], [0.1, 0.15], [0.2, 0.2, 0.3], 0.175),
+        ([0, 3], [0.1, 0.11], [0.2, 0.2, 0.3], 0.11),
     ],
-    ids=["it hovered where it was told", "it is held", "it goes where it was told"],
+    ids=[
+        "it hovered where it was told",
+        "it is held",
+        "it goes where it was told",
+        "it went where it was told while nobody looked",
+        "it was held while nobody looked",
+    ],
 )
-def test_commands_on_their_way_count_unless_the_hand_is_held(palms: list, told: list, due: float):
+def test_commands_on_their_way_count_unless_the_hand_is_held(
+    ticks: list, palms: list, told: list, due: float
+):
     commands = CommandBuffer(Embodiment(palm_speed_m_s=0.5, fps=20, delay_frames=1))
-    for frame, goal in enumerate(along_x(told).unbind(1)):
-        commands.give(goal[:, None], frame, 0)
-    expected = commands.due(along_x(palms), len(palms) - 1, 0)
+    commands.give(along_x(told), 0, 0)
+    expected = commands.due(along_x(palms), ticks, 0)
     torch.testing.assert_close(expected, along_x([due])[:, 0], atol=1e-3, rtol=0)
+
+
+def test_what_goes_on_while_a_chunk_is_awaited_is_for_the_same_ticks_if_nobody_looked_meanwhile():
+    policy = forecasting(horizon=6)
+    first = policy.predict_action_chunk(at(0.0, step(policy)), 0)
+    second = policy.predict_action_chunk(at(0.15, step(policy, seed=1)), 2)
+    torch.testing.assert_close(second[:, :2], first[:, 3:5], atol=0, rtol=0)
 
 
 def test_recorded_actions_follow_from_where_the_palm_is_as_in_training():
