@@ -7,8 +7,10 @@ block with a bias by age.
 """
 
 import torch
-from einops import einsum, rearrange, repeat
+from einops import einsum, rearrange
 from torch import Tensor, nn
+
+from .frames import gather_frames
 
 AGE_STEP_S = 0.05
 N_AGES = 128
@@ -148,10 +150,8 @@ class PositionReadout(nn.Module):
         frame k is ``age_s[q, k]`` [s] older than frame q. Decisions are taken at frames ``rows``,
         ``(B, Q)``; see `TemporalBlock.forward` for those that are ``hidden``, ``(B, T)``.
         """
-        chosen = repeat(rows, "b q -> b q d", d=tokens.shape[-1])
-        queries = rearrange(
-            self.query(tokens.gather(1, chosen)), "b q (j d) -> b q j d", j=self.n_points
-        )
+        queries = self.query(gather_frames(tokens, rows))
+        queries = rearrange(queries, "b q (j d) -> b q j d", j=self.n_points)
         bias = rearrange(self.bias(age_s), "j t s -> t j s")[rows]  # (B, Q, J, T)
         if hidden is not None:
             itself = nn.functional.one_hot(rows, len(age_s)).bool()

@@ -19,7 +19,8 @@ LOG_ERRORS = (-6.0, 3.0)
 """Log scales of a sighting's errors are cut to these: 0.2 % of the distance is less than a pixel,
 and twenty times the distance says that nothing was seen."""
 BLIND_LOG_ERROR = 2.0
-"""Where scales count as numbers, they are cut here: seven times the distance is no knowledge."""
+"""Where scales count as numbers, they are cut here: an error of seven times the distance tells
+nothing."""
 LEAST_M = 1e-3  # distances and errors are at least this, so that none outvotes all others
 
 

@@ -88,8 +88,8 @@ class ObActConfig(PreTrainedConfig):
     horizon: int = 8  # actions in a predicted chunk, ``H``
     n_action_steps: int = 1  # actions of a chunk that are executed before the policy replans
     inference_delay: int = 0
-    """Actions of a chunk that will be past when it is ready, where only single actions are asked
-    for, as by `lerobot-eval`; who asks for a chunk says so himself."""
+    """Actions of a chunk that will have expired when it is ready. Only `select_action` reads this,
+    as for `lerobot-eval`; callers of `predict_action_chunk` pass their own."""
     relative_dims: int | None = None
     """Leading entries of an action that say where to go in the frame of the same entries of
     ``observation.state`` [m]; they are predicted as displacements. 0 for actions of another kind.
@@ -97,13 +97,13 @@ class ObActConfig(PreTrainedConfig):
     displacements."""
 
     encoder: str = ""
-    """One of `ENCODERS`. By default the eye, with the weights that ship, where there are such for
-    all images, and else ``conv``, which is trained."""
+    """One of `ENCODERS`. By default the eye, with the weights that ship, where the dataset is of
+    DynaHOI and there are such for all images, and else ``conv``, which is trained."""
     encoder_options: dict[str, Any] = field(default_factory=dict)
     """Keyword options of that encoder. In a text, ``{view}`` stands for the last part of the key of
     the image, so that each camera may start from weights of its own."""
     freeze_encoder: bool | None = None
-    """Whether training leaves its weights alone; by default if they have been trained before."""
+    """Whether training leaves its weights alone; by default those that ``weights`` names."""
     head: str = "diffusion"  # one of `HEADS`
     head_options: dict[str, Any] = field(default_factory=dict)  # keyword options of that head
     dim: int = 128  # size of a frame's token, ``D``
@@ -234,7 +234,7 @@ class ObActConfig(PreTrainedConfig):
     @property
     def sighting_keys(self) -> list[str]:
         """Keys of the columns that hold what a frozen encoder saw in the images."""
-        return [SIGHTINGS + key.rsplit(".", maxsplit=1)[-1] for key in self.cameras]
+        return [SIGHTINGS + view_of(key) for key in self.cameras]
 
     @property
     def state_keys(self) -> list[str]:
@@ -275,7 +275,7 @@ class ObActConfig(PreTrainedConfig):
             self.relative_dims = 0 if displaces else min(RELATIVE_DIMS, most)
         allowed = f"0 to {most}, which state and action both have"
         self._require(0 <= self.relative_dims <= most, "relative_dims", allowed)
-        eyes = {f"{key.split('.')[-1]}_{x.shape[-1]}" for key, x in self.image_features.items()}
+        eyes = {f"{view_of(key)}_{x.shape[-1]}" for key, x in self.image_features.items()}
         pretrained = eyes <= SHIPPED.keys()
         if not self.encoder:
             self.encoder = "eye" if pretrained else "conv"
@@ -300,6 +300,11 @@ class ObActConfig(PreTrainedConfig):
             peak_lr=self.optimizer_lr,
             decay_lr=FINAL_LR_SHARE * self.optimizer_lr,
         )
+
+
+def view_of(key: str) -> str:
+    """Return the view of an image's key: its last part."""
+    return key.rsplit(".", maxsplit=1)[-1]
 
 
 def _as_image(entry: tuple[str, PolicyFeature]) -> tuple[str, PolicyFeature]:

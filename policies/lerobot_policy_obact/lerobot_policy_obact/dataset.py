@@ -23,11 +23,21 @@ from lerobot.configs import parser
 from lerobot.utils.constants import ACTION, OBS_STATE
 from torch import Tensor
 
-from .configuration_obact import CONTACT, IMAGES, SIGHTINGS, Embodiment, ObActConfig
+from .configuration_obact import (
+    CONTACT,
+    IMAGES,
+    SIGHTINGS,
+    Embodiment,
+    ObActConfig,
+    view_of,
+)
 from .teacher import LONGEST_FRAMES, Targets, Teacher
 
+ROBOT_TYPE = "dynahoi_hand"
+"""LeRobot's ``robot_type`` of a dataset of DynaHOI, also after other tools have edited it."""
 SCHEMA = 1
-"""Of the datasets of DynaHOI that are read here. Their tables and columns, see the card of one:"""
+"""Schema of the manifests of such datasets that are read here. The names of their tables and
+columns, which the card of each explains:"""
 EPISODES = "meta/episodes"  # a row per episode
 CAPTURE = "capture"
 WINDOW = "window_frames"
@@ -56,6 +66,8 @@ def adopt(config: ObActConfig, meta: Any) -> TargetTable | None:
         ValueError: if the policy cannot learn from the dataset as it is configured.
     """
     config.rules = rules_of(meta)
+    if not config.encoder and meta.robot_type != ROBOT_TYPE:
+        config.encoder = "conv"  # the eyes that ship have learned from images of that robot alone
     config.validate_features()
     forecast_before = bool(config.embodiment.capture)
     config.embodiment = embodiment_of(meta, config.cameras)
@@ -188,7 +200,7 @@ def embodiment_of(meta: Any, cameras: list[str]) -> Embodiment:
             another name.
     """
     columns = {HAND_LIMITS, TARGET_PATH}
-    for view in map(_view, cameras):
+    for view in map(view_of, cameras):
         columns |= {CAMERA_POSE.format(view), CAMERA_INTRINSICS.format(view)}
     constants = columns_of(meta, CONSTANTS, columns)
     held = {name.replace(SIGHTINGS, IMAGES) for name in meta.features}
@@ -203,19 +215,15 @@ def embodiment_of(meta: Any, cameras: list[str]) -> Embodiment:
     return Embodiment(
         fps=float(meta.fps),
         calibration={
-            key: _calibration(_view(key), constants)
+            key: _calibration(view_of(key), constants)
             for key in cameras
-            if CAMERA_POSE.format(_view(key)) in constants
+            if CAMERA_POSE.format(view_of(key)) in constants
         },
         delay_frames=math.ceil(latency_ms / 1000 * meta.fps - 1e-6),
         palm_speed_m_s=float(speed_m_s),
         capture=capture,
         radius_m=RADIUS_M.get(capture, Embodiment.radius_m),
     )
-
-
-def _view(key: str) -> str:
-    return key.rsplit(".", maxsplit=1)[-1]
 
 
 def _calibration(view: str, constants: dict[str, list[Any]]) -> list[float]:

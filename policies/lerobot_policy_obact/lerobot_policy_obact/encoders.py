@@ -94,7 +94,7 @@ SHIPPED = {
 [px]."""
 PIXEL_MEAN = (0.5, 0.5, 0.5, 0.25, 0.0, 0.0, 0.0)
 PIXEL_STD = (0.25, 0.25, 0.25, 0.25, 0.1, 0.1, 0.1)
-"""Of RGB, saturation, and the change of RGB since the image before."""
+"""Mean and standard deviation of RGB, saturation, and the change of RGB since the image before."""
 
 
 class Eye(Encoder):
@@ -127,7 +127,7 @@ class Eye(Encoder):
             conv(len(PIXEL_MEAN), 16), conv(16, 32, stride=2), conv(32, 64, stride=2), nn.Flatten(),
             nn.Linear(64 * math.ceil(fovea / 4) ** 2, READ_WIDTH), nn.SiLU(),
         )  # fmt: skip
-        # in place of the one that reads cells alone, whose random numbers are drawn all the same
+        # in place of the one of `Encoder`, which reads cells alone
         self.read = perceptron(READ_WIDTH + 3 * channels + 2, READ_WIDTH, N_SIGHTING + embedding)
 
     def load_pretrained(self) -> None:

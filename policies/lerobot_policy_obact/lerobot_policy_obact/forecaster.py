@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 import torch
-from einops import rearrange, repeat
+from einops import rearrange
 from torch import Tensor, nn
 
 from .attention import PositionReadout, TemporalBlock
@@ -33,8 +33,8 @@ network: about their standard deviations."""
 MOST_UNITS = 8.0  # inputs are cut to this many units: what is farther off is an error of the eye
 LOG_ERROR_UNIT = 3.0  # in which log scales of a sighting enter the network
 BEND_WIDTH = 256
-"""Of the hidden layers of the network's correction of the forecast, whatever `ObActConfig.width`,
-that of what the head reads, is. Not tuned."""
+"""Width of the hidden layers of the network's correction of the forecast, whatever
+`ObActConfig.width`, that of what the head reads, is. Not tuned."""
 UNCALIBRATED = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
 """Calibration, see `Embodiment`, of a camera that sees rays of unit depth from the origin."""
 
@@ -54,8 +54,8 @@ class GrowingUnit:
 
 
 BEND = GrowingUnit(0.03, 0.5)
-"""Of the network's correction of the forecast: at first about the eye's error, then half a meter
-more for every second. Not tuned."""
+"""Unit of the network's correction of the forecast: at first about the eye's error, then half a
+meter more for every second. Not tuned."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Forecast(Record):
     attention: Tensor | None = None
 
     def later(self, frames: int) -> Forecast:
-        """Return it as it is so many frames later: for times that count from then."""
+        """Return the same forecast for times that count from so many ``frames`` later."""
         if not frames:
             return self
         times = torch.tensor(FORECAST_FRAMES, device=self.places.device)
@@ -132,7 +132,7 @@ class Forecaster(nn.Module):
         for block in self.blocks:
             tokens = block(tokens, age_s, hidden)
         tokens = self.norm(tokens)
-        features = tokens.gather(1, repeat(rows, "b q -> b q d", d=tokens.shape[-1]))
+        features = gather_frames(tokens, rows)
         points = attention = None
         if self.n_points:
             points, attention = self.readout(tokens, position - first, age_s, rows, hidden)

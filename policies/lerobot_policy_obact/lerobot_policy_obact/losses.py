@@ -62,10 +62,11 @@ def window_losses(model: ObActModel, window: Window, teacher: Teacher | None) ->
     first = window.begin[:, None].clamp(min=now).clamp_max(latest)
     rolled = first + torch.arange(config.n_future_steps, device=now.device)
     rolled = rolled.clamp_max(n_frames - 1)
-    decided = torch.cat([rows, rolled], dim=1) if config.n_future_steps else rows
+    plays = config.n_future_steps > 0 and config.closed_loop_weight > 0
+    decided = torch.cat([rows, rolled], dim=1) if plays else rows
     forecast = model.encode_history(window.frames, decided)
     losses = decision_losses(model, forecast[:, : config.n_decisions], window, rows, teacher)
-    if config.n_future_steps and config.closed_loop_weight:
+    if plays:
         rolled_forecast = forecast[:, config.n_decisions :].later(late)
         losses["closed_loop"] = closed_loop_loss(model, rolled_forecast, window, rolled, teacher)
     return losses
@@ -104,11 +105,10 @@ def decision_losses(
     losses = {"forecast": forecast_loss(model, forecast.places, targets, rows, near)}
 
     n_windows, _, n_palms = palms.shape[:3]
-    state = repeat(gather_frames(window.frames.state, rows), "b q s -> (b q m) s", m=n_palms)
     repeated = replace(forecast.later(late), attention=None).map(
         lambda x: repeat(x, "b q ... -> (b q m) ...", m=n_palms)
     )
-    context, origin = model.condition(repeated, palms.flatten(0, 2), state)
+    context, origin = model.condition(repeated, palms.flatten(0, 2))
     actions = torch.cat([answers.goal, teacher.joints(answers.closing)], dim=-1).flatten(0, 2)
     weight = torch.where(answers.reachable, 1.0, UNREACHABLE_WEIGHT)
     # nothing is decided that would take effect after the catch
@@ -167,8 +167,7 @@ def closed_loop_loss(
     known = (due[:, :-1] < targets.length[:, None] - 1) & (due[:, :-1] < n_frames)
     path = gather_frames(targets.path, due.clamp_max(targets.path.shape[1] - 1))
     palm = gather_frames(window.frames.palm, due[:, :1].clamp_max(n_frames - 1))
-    state = gather_frames(window.frames.state, rows[:, 0])
-    way = rolled_out(model, forecast, palm, state)
+    way = rolled_out(model, forecast, palm)
     misses = teacher.misses(way - path)  # (B, R)
     least = misses.masked_fill(~known, torch.inf).amin(1)
     least = least.where(least.isfinite(), 0.0)

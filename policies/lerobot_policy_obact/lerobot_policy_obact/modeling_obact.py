@@ -67,8 +67,8 @@ class ObActPolicy(PreTrainedPolicy):
     name: ClassVar[str] = "obact"
     config: ObActConfig
     real_time: ClassVar[bool] = False
-    """Whether the world moves on while a caller who asks for chunks waits: frames without
-    ``timestamp`` are then as old as the wall clock says."""
+    """Whether the world moves on while a caller who asks for chunks waits: the wall clock then
+    stamps frames without ``timestamp``."""
     _shown: Batch | None = None  # what was observed last, also before `reset`
 
     def __init__(
@@ -247,9 +247,9 @@ class ObActPolicy(PreTrainedPolicy):
     def select_action(self, batch: Batch, **kwargs: Any) -> Tensor:
         """Return the next action of every environment, ``(B, A)``; call it once per control step.
 
-        A frame is as old as its ``timestamp`` says, that of the first environment for all, or, if
-        the batch has none, as calls at ``embodiment.fps`` say. While actions are queued, a frame
-        that is shown again counts once: the world stands still until they have been read.
+        A frame is stamped with its ``timestamp``, that of the first environment for all, or,
+        without one, a tick of ``embodiment.fps`` after the one before. While actions are queued, a
+        frame that is shown again counts once: the world stands still until they have been read.
         """
         self.eval()
         if not (self._action_queue and self._is_shown_again(batch)):
@@ -279,13 +279,13 @@ class ObActPolicy(PreTrainedPolicy):
     def predict_action_chunk(self, batch: Batch, inference_delay: int = 0, **kwargs: Any) -> Tensor:
         """Return a whole chunk, ``(B, H, A)``.
 
-        A frame is as old as its ``timestamp`` says, or, if the batch has none, ``n_action_steps``
-        later than the one before, as in a simulation that waits. In `real_time`, and if a previous
-        chunk is offered, as by LeRobot's real-time chunking, the wall clock says how old it is.
+        A frame is stamped with its ``timestamp``, or, without one, ``n_action_steps`` ticks after
+        the one before, as in a simulation that waits. In `real_time`, and if a previous chunk is
+        offered, as by LeRobot's real-time chunking, the wall clock stamps it.
 
-        Its first ``inference_delay`` actions are past when it is there: they are those of the chunk
-        before. The others follow from the forecast and from where the palm will be by then, or,
-        without a forecast, are those expected of a hand that acts at once.
+        The first ``inference_delay`` actions have expired when the chunk arrives: they repeat those
+        of the chunk before. The others follow from the forecast and from where the palm will be by
+        then, or, without a forecast, are those expected of a hand that acts at once.
 
         The previous chunk, which real-time chunking offers as guidance, is ignored. Consecutive
         chunks follow from one history and need none. The head's errors agree over a whole chunk, so
@@ -301,14 +301,14 @@ class ObActPolicy(PreTrainedPolicy):
     def observe(self, batch: Batch) -> None:
         """Add a frame to the history without acting, for callers that ask for chunks now and then.
 
-        A frame is as old as its ``timestamp`` says, or, if the batch has none, a tick of
-        ``embodiment.fps`` later than the one before, or, in `real_time`, as the wall clock says.
+        A frame is stamped with its ``timestamp``, or, without one, a tick of ``embodiment.fps``
+        after the one before, or, in `real_time`, by the wall clock.
         """
         self._note(batch, 1 / self.config.embodiment.fps, live=self.real_time)
 
     def _note(self, batch: Batch, step_s: float, *, live: bool) -> None:
-        """Add a frame that is, without ``timestamp``, ``step_s`` later than the one before, or, if
-        the caller is ``live``, as old as the wall clock says, in ticks.
+        """Add a frame. Without ``timestamp``, it is ``step_s`` later than the one before, or, if
+        the caller is ``live``, at the tick of the wall clock.
         """
         self.eval()
         now_s = time.monotonic() if live else self._history.now_s + step_s

@@ -15,7 +15,7 @@ from einops import einsum, rearrange, repeat
 from lerobot.utils.constants import ACTION
 from torch import Tensor, nn
 
-from .configuration_obact import HEADS, ObActConfig
+from .configuration_obact import HEADS, ObActConfig, view_of
 from .encoders import ENCODERS, Encoder
 from .forecaster import FORECAST_FRAMES, MOST_UNITS, Forecast, Forecaster, GrowingUnit
 from .frames import Frames, palm_of, stepped
@@ -24,11 +24,12 @@ from .layers import perceptron
 Batch = dict[str, Any]
 
 OFFSET = GrowingUnit(0.1, 0.3)
-"""Of where the target will be from the palm, as the head reads it: about what a palm is away from a
+"""Unit of the target's offset from the palm, as the head reads it: about how far a palm is from a
 target that it meets. Not tuned."""
 N_FEATURES = 64  # numbers of a decision's token that the head reads beside the forecast
 LEAST_STD = 1e-3
-"""Of an entry of state or action: one that stood still in the recordings says nothing."""
+"""Least standard deviation of an entry of state or action by which it is divided: one that stood
+still in the recordings says nothing."""
 
 
 class ObActModel(nn.Module):
@@ -120,7 +121,9 @@ class ObActModel(nn.Module):
             rows = torch.full((len(frames.state), 1), last, device=frames.state.device)
         return self.forecaster(frames, rows)
 
-    def condition(self, forecast: Forecast, palm: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+    def condition(
+        self, forecast: Forecast, palm: Tensor, state: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
         """Return what the head reads, ``(R, C)``, and the places from which its actions count [m],
         ``(R, H, 3)``.
 
@@ -132,21 +135,25 @@ class ObActModel(nn.Module):
         Args:
             forecast: of R decisions, ``(R, ...)``.
             palm: where the palm will be when a command takes effect [m], ``(R, 3)``.
-            state: of the robot, ``(R, S)``; with a forecast the head reads of it the joints, to
-                grip, or nothing.
+            state: of the robot, ``(R, S)``. Without a forecast the head reads it, and to grip it
+                reads the joints; None where it does neither.
         """
         config = self.config
         places = forecast.places
         features = nn.functional.silu(self.features(forecast.features))
-        state = (state - self.state_mean) / self.state_std
+        if state is not None:
+            state = (state - self.state_mean) / self.state_std
         if not config.forecasts:
+            assert state is not None
             context = self.trunk(torch.cat([state, features], dim=-1))
             return context, repeat(palm, "r i -> r h i", h=config.horizon)
         unit = OFFSET.at(self.forecaster.ahead_s)
         offset = (places - palm[:, None]) / unit[:, None]  # (R, K, 3)
         distance = offset.norm(dim=-1).clamp_max(MOST_UNITS)
-        joints = state[:, self.n_relative :] if config.grips else state[:, :0]
-        read = [offset.clamp(-MOST_UNITS, MOST_UNITS).flatten(1), distance, features, joints]
+        read = [offset.clamp(-MOST_UNITS, MOST_UNITS).flatten(1), distance, features]
+        if config.grips:
+            assert state is not None
+            read.append(state[:, self.n_relative :])
         context = self.trunk(torch.cat(read, dim=-1))
         logits = self.when(context)
         if not config.grips:  # one choice of a time for all axes
@@ -158,11 +165,11 @@ class ObActModel(nn.Module):
         both = torch.cat([places, along], dim=1)
         return context, einsum(weights, both, "r h i k, r k i -> r h i")
 
-    def act_once(self, forecast: Forecast, palm: Tensor, state: Tensor) -> Tensor:
+    def act_once(self, forecast: Forecast, palm: Tensor) -> Tensor:
         """Return actions ``(R, A)`` sampled in one step from fresh noise, for training; see
         `condition`.
         """
-        context, origin = self.condition(forecast, palm, state)
+        context, origin = self.condition(forecast, palm)
         start = torch.randn(len(context), *self.head.noise_shape, device=context.device)
         return self.unnormalize(self.head.denoise(context, start, 1), origin)[:, 0]
 
@@ -185,7 +192,6 @@ def rolled_out(
     model: ObActModel,
     forecast: Forecast,
     way: Tensor,
-    state: Tensor,
     *,
     begin: Tensor | None = None,
     pushes: Tensor | None = None,
@@ -196,7 +202,6 @@ def rolled_out(
         model: whose head it is.
         forecast: of the decisions, ``(B, R)``.
         way: of the palm until the first of these takes effect [m], ``(B, W, 3)``.
-        state: of the robot, ``(B, S)``, of which a head that grips reads the joints.
         begin: the decision from which on the palm moves, ``(B,)``; by default the first.
         pushes: by which goals are off, ``(B, R', 3)`` [m], R' >= R.
     """
@@ -204,7 +209,7 @@ def rolled_out(
     step_m = model.config.embodiment.step_m
     for r in range(forecast.features.shape[1]):
         palm = ways[-1]
-        goal = palm_of(model.act_once(forecast[:, r], palm, state))
+        goal = palm_of(model.act_once(forecast[:, r], palm))
         if pushes is not None:
             goal = goal + pushes[:, r]
         moved = stepped(palm, goal, step_m)
@@ -213,10 +218,8 @@ def rolled_out(
 
 
 def _options(options: dict[str, Any], camera: str) -> dict[str, Any]:
-    """Return the options of the encoder for an image key, whose last part is the ``{view}`` in a
-    text.
-    """
-    view = camera.rsplit(".", maxsplit=1)[-1]
+    """Return the encoder's options for an image key, whose view replaces ``{view}`` in texts."""
+    view = view_of(camera)
     return {
         name: x.replace("{view}", view) if isinstance(x, str) else x for name, x in options.items()
     }

@@ -38,8 +38,8 @@ when they are taken from one distance to another: 8 % at 0.25 m and 22 % at 0.7 
 LED_SHARE = 0.7  # of the virtual hands, that the policy leads
 RECORDED_SHARE = 0.5  # of the others, that go the recorded way; the rest pursues the target
 LATER_SHARE = 0.1
-"""Of the virtual hands: share of those who are shown a part of the target's path after the one that
-was recorded. A recording ends soon after the catch, so none shows what follows a miss."""
+"""Share of the virtual hands that are shown a part of the target's path after the one that was
+recorded. A recording ends soon after the catch, so none shows what follows a miss."""
 LATER_M = 0.1  # standard deviation of their palms from the target, along each axis
 LATER_FRAMES = 4  # of a path that are still to come, at least, after such a window
 PUSHED_SHARE, PUSH_M, PUSH_POWER, CHANGE_SHARE = 0.5, 0.15, 1.5, 0.12
@@ -82,17 +82,12 @@ class VirtualHands:
 
     @torch.no_grad()
     def drawn(self, window: Window, virtual_share: float) -> Window:
-        """Return the windows with hands of which about ``virtual_share`` are virtual.
-
-        All windows that begin after the recorded catch have virtual hands, since nothing is decided
-        there any more.
-        """
+        """Return the windows with hands of which about ``virtual_share`` are virtual."""
         targets, (b, n) = window.targets, window.recorded.shape
         assert targets is not None
-        over = targets.free < self.config.n_obs_steps
         device = window.begin.device
-        virtual = over | _chance(virtual_share, b, device)
-        later = virtual & (over | _chance(LATER_SHARE, b, device))
+        virtual = _chance(virtual_share, b, device)
+        later = virtual & _chance(LATER_SHARE, b, device)
         known = targets.length.clamp_max(targets.path.shape[1])
         room = (known - n - LATER_FRAMES).clamp_min(0)
         shown = _shown_later(window, (room * torch.rand(b, device=device)).long() * later)
@@ -148,10 +143,7 @@ class VirtualHands:
         rows = torch.arange(max(0, n - 1 - late), device=device).expand(len(seen.state), -1)
         forecast = self.model.encode_history(seen, rows).later(late)
         start = ways[led, : late + 1]
-        state = seen.state[:, 0]
-        ways[led] = rolled_out(
-            self.model, forecast, start, state, begin=begin[led], pushes=pushes[led]
-        )
+        ways[led] = rolled_out(self.model, forecast, start, begin=begin[led], pushes=pushes[led])
         return ways
 
     def _pushes(self, spread_m: Tensor, begin: Tensor, n: int) -> Tensor:
@@ -192,7 +184,7 @@ class Donors:
         assert targets is not None
         row = torch.arange(n, device=recorded.device)
         usable = recorded & (row < targets.free[:, None])
-        # of a window after the catch, one frame must do
+        # a window after the catch has none: one must do, though it may show something else
         usable[:, 0] |= ~usable.any(1)
         self.usable = usable
         self.cameras = cameras

@@ -38,7 +38,8 @@ from tests.tools import generated, lerobot_train, options, python, run
 N_EPISODES = 2
 N_FRAMES = 30
 FPS = 10
-SIZE = 48
+SIZE = 96
+CAMERA = "observation.images.side"
 NEW = {"type": "obact"}
 TINY = TINY_OBACT | {
     "horizon": 4,
@@ -55,18 +56,20 @@ HAND = {name: FEATURES[name] for name in ("input_features", "output_features")}
 
 @pytest.fixture(scope="module")
 def push_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A dataset like PushT's: one camera, two coordinates, no hand and no target."""
+    """A dataset like PushT's: one camera, two coordinates, no hand and no target. Its image has the
+    name and the size of those of one of our cameras.
+    """
     root = tmp_path_factory.mktemp("push") / "data"
     image = {"dtype": "image", "shape": (SIZE, SIZE, 3), "names": ["height", "width", "channel"]}
     vector = {"dtype": "float32", "shape": (2,), "names": None}
-    features = {"observation.image": image, "observation.state": vector, "action": vector}
+    features = {CAMERA: image, "observation.state": vector, "action": vector}
     dataset = LeRobotDataset.create("local/tiny", FPS, features, root=root, use_videos=False)
     rng = np.random.default_rng(0)
     for _ in range(N_EPISODES):
         walk = rng.normal(size=(N_FRAMES + 1, 2)).cumsum(0).astype(np.float32)
         for here, there in pairwise(walk):
             frame = {"observation.state": here, "action": there, "task": "push"}
-            frame["observation.image"] = rng.integers(0, 256, (SIZE, SIZE, 3), dtype=np.uint8)
+            frame[CAMERA] = rng.integers(0, 256, (SIZE, SIZE, 3), dtype=np.uint8)
             dataset.add_frame(frame)
         dataset.save_episode()
     dataset.finalize()
