@@ -147,13 +147,6 @@ def test_virtual_hands_wait_until_they_may_move_and_go_no_faster_than_they_can()
     assert (steps[~waits] > 0).float().mean() > 0.8
 
 
-def test_after_the_recorded_catch_all_hands_are_virtual():
-    window = windows()
-    window = replace(window, targets=replace(window.targets, free=torch.full((64,), PAST - 1)))
-    shown = hands().drawn(window, 0.0)
-    assert (shown.frames.palm[:, -1] != window.frames.palm[:, -1]).any(-1).all()
-
-
 def test_a_virtual_hand_decides_until_it_has_caught_its_target():
     shown = hands().drawn(windows(begin=0), 1.0)
     offset = shown.frames.palm - shown.targets.path[:, :LENGTH]
@@ -224,7 +217,7 @@ def test_a_led_hand_reads_the_forecast_of_when_its_commands_take_effect(
         places = rows[..., None] + torch.tensor(FORECAST_FRAMES)
         return Forecast(rows[..., None].float(), places[..., None].expand(-1, -1, -1, 3).float())
 
-    def act_once(forecast: Forecast, palm: torch.Tensor, state: torch.Tensor) -> torch.Tensor:
+    def act_once(forecast: Forecast, palm: torch.Tensor) -> torch.Tensor:
         asked.append(float(forecast.places[0, 0, 0]))
         return torch.zeros(len(palm), 18)
 
@@ -240,7 +233,7 @@ def test_a_hand_that_the_policy_leads_follows_its_head(monkeypatch: pytest.Monke
     corner = torch.tensor([5.0, -5.0, 5.0])
     leader = hands()
     goal = torch.cat([corner, torch.zeros(15)])
-    monkeypatch.setattr(leader.model, "act_once", lambda f, palm, state: goal.expand(len(palm), 18))
+    monkeypatch.setattr(leader.model, "act_once", lambda f, palm: goal.expand(len(palm), 18))
     palm = leader.drawn(windows(begin=0), 1.0).frames.palm
     way = (palm[:, 1:] - palm[:, :-1]) / STEP_M
     wanted = torch.nn.functional.normalize(corner - palm[:, :-1], dim=-1)
@@ -275,7 +268,7 @@ def test_a_palm_is_rolled_out_from_when_the_first_command_takes_effect(late: int
         targets=Targets(path, full, full),
         frames=replace(window.frames, state=state),
     )
-    still = lambda forecast, palm, state: palm  # noqa: E731
+    still = lambda forecast, palm: palm  # noqa: E731
     assert rolled_out(window, still, 10, late=late) < 0.05
     assert rolled_out(window, still, 11, late=late) > 1
 
@@ -286,7 +279,7 @@ def test_the_closed_loop_loss_falls_where_the_head_learns_to_meet_the_target():
     goal = torch.zeros(3, requires_grad=True)
     path = torch.tensor([0.1, 0.05, -0.05]).expand(1, 200, 3)
     window = replace(window, targets=replace(window.targets, path=path))
-    head = lambda forecast, palm, state: torch.cat([goal.expand(1, 3), state[:, 3:]], dim=1)  # noqa: E731
+    head = lambda forecast, palm: goal.expand(1, 3)  # noqa: E731
     optimizer = torch.optim.Adam([goal], lr=0.02)
     losses = []
     for _ in range(60):
