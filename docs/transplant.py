@@ -52,7 +52,7 @@ def windows(root: Path) -> tuple[ObActPolicy, Window, Window]:
 def until_catch(window: Window, hand: int) -> int:
     """Return how many frames are shown: those before the catch, where decisions are taken."""
     assert window.targets is not None
-    return int(window.targets.free[hand].clamp_max(window.recorded.shape[1]))
+    return int(window.targets.catch[hand].clamp_max(window.recorded.shape[1]))
 
 
 def draw_from_above(axes: Axes, policy: ObActPolicy, window: Window, hand: int, color: str) -> None:

@@ -87,7 +87,7 @@ class Pinhole(nn.Module):
         )
 
 
-def fused(eyes: Tensor, rays: Tensor, scales: Tensor) -> Tensor:
+def fused(centers: Tensor, rays: Tensor, scales: Tensor) -> Tensor:
     """Return where the cameras together place the target [m], ``(B, T, 3)``: each counts by what it
     is sure of.
 
@@ -95,8 +95,8 @@ def fused(eyes: Tensor, rays: Tensor, scales: Tensor) -> Tensor:
     and along its line of sight, so the lines of sight of two cameras cross where both are precise.
     See `Forecaster.sighted` for the other arguments.
     """
-    if eyes.shape[2] == 1:
-        return (eyes + rays)[:, :, 0]
+    if centers.shape[2] == 1:
+        return (centers + rays)[:, :, 0]
     distance = rays.norm(dim=-1, keepdim=True).clamp_min(LEAST_M)
     errors_m = scales.clamp(LOG_ERRORS[0], BLIND_LOG_ERROR).exp() * distance
     across, along = (errors_m.clamp_min(LEAST_M) ** -2)[..., None].unbind(-2)  # (B, T, C, 1)
@@ -104,5 +104,5 @@ def fused(eyes: Tensor, rays: Tensor, scales: Tensor) -> Tensor:
     line = einsum(sight, sight, "... i, ... j -> ... i j")
     plane = torch.eye(3, device=line.device) - line
     precision = across[..., None] * plane + along[..., None] * line  # (B, T, C, 3, 3)
-    weighted = precision @ (eyes + rays)[..., None]
+    weighted = precision @ (centers + rays)[..., None]
     return torch.linalg.solve(precision.sum(2), weighted.sum(2))[..., 0]

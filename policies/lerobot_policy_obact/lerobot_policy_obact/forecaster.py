@@ -123,8 +123,8 @@ class Forecaster(nn.Module):
         """Return the forecast of decisions at frames ``rows`` ``(B, Q)``, each from the frames up
         to its own.
         """
-        eyes, rays = self.sighted(frames)
-        position = fused(eyes, rays, frames.sightings[..., 3:N_SIGHTING])
+        centers, rays = self.sighted(frames)
+        position = fused(centers, rays, frames.sightings[..., 3:N_SIGHTING])
         hidden = frames.hidden
         first = position[:, :1] if hidden is None else _first_seen(position, hidden)
         tokens = self.token(_inputs(frames.sightings, rays, position - first))
@@ -143,11 +143,11 @@ class Forecaster(nn.Module):
         """Return where the cameras are, and where from there they see the target [m], ``(B, T, C,
         3)`` each.
         """
-        eyes = [cam.origin(frames.palm) + cam.pos for cam in self.cameras]
+        centers = [cam.origin(frames.palm) + cam.pos for cam in self.cameras]
         rays = [
             cam.place(frames.sightings[:, :, i, :3]) - cam.pos for i, cam in enumerate(self.cameras)
         ]
-        return torch.stack(eyes, dim=2), torch.stack(rays, dim=2)
+        return torch.stack(centers, dim=2), torch.stack(rays, dim=2)
 
     def _places(self, decisions: Tensor, points: Tensor | None) -> Tensor:
         """Combine the positions read out, ``(B, Q, J, 3)``, linearly, and bend the result by what

@@ -51,14 +51,14 @@ def window_losses(model: ObActModel, window: Window, teacher: Teacher | None) ->
     if teacher is None or targets is None:
         return {"action": recorded_loss(model, window)}
     n_frames = window.recorded.shape[1]
-    late = window.delay_frames
+    delay = window.delay_frames
     now = torch.full_like(window.begin, config.n_obs_steps - 1)[:, None]
     # the last decision takes effect before the catch, in the window, and with two known frames of
     # the target's path, in which to meet it, still to come
-    last = torch.minimum(targets.free, targets.length - 2).clamp_max(n_frames) - 1 - late
+    last = torch.minimum(targets.catch, targets.length - 2).clamp_max(n_frames) - 1 - delay
     spread = torch.rand(len(now), config.n_decisions, device=now.device)
     rows = now + (spread * (last[:, None] - now + 1).clamp_min(0)).long()
-    latest = max(config.n_obs_steps, n_frames - LEAST_ROLLED - late) - 1
+    latest = max(config.n_obs_steps, n_frames - LEAST_ROLLED - delay) - 1
     first = window.begin[:, None].clamp(min=now).clamp_max(latest)
     rolled = first + torch.arange(config.n_future_steps, device=now.device)
     rolled = rolled.clamp_max(n_frames - 1)
@@ -67,7 +67,7 @@ def window_losses(model: ObActModel, window: Window, teacher: Teacher | None) ->
     forecast = model.encode_history(window.frames, decided)
     losses = decision_losses(model, forecast[:, : config.n_decisions], window, rows, teacher)
     if plays:
-        rolled_forecast = forecast[:, config.n_decisions :].later(late)
+        rolled_forecast = forecast[:, config.n_decisions :].later(delay)
         losses["closed_loop"] = closed_loop_loss(model, rolled_forecast, window, rolled, teacher)
     return losses
 
@@ -93,26 +93,26 @@ def decision_losses(
     the forecast, and of the actions of M palms in place of each decision's own.
     """
     targets = window.targets
-    late = window.delay_frames
+    delay = window.delay_frames
     assert targets is not None
     last = window.recorded.shape[1] - 1
-    palm = gather_frames(window.frames.palm, (rows + late).clamp_max(last))
+    palm = gather_frames(window.frames.palm, (rows + delay).clamp_max(last))
     # at the latest in the last frame but one that is known: a teacher looks a frame ahead
-    due = torch.minimum(rows + late, targets.length[:, None] - 2)
+    due = torch.minimum(rows + delay, targets.length[:, None] - 2)
     palms = teacher.palms(targets, due, palm)  # (B, Q, M, 3)
     answers = teacher.answer(targets, due, palms, model.config.horizon)
-    near = _nearness(answers.frames + late, answers.reachable)
+    near = _nearness(answers.frames + delay, answers.reachable)
     losses = {"forecast": forecast_loss(model, forecast.places, targets, rows, near)}
 
     n_windows, _, n_palms = palms.shape[:3]
-    repeated = replace(forecast.later(late), attention=None).map(
+    repeated = replace(forecast.later(delay), attention=None).map(
         lambda x: repeat(x, "b q ... -> (b q m) ...", m=n_palms)
     )
     context, origin = model.condition(repeated, palms.flatten(0, 2))
     actions = torch.cat([answers.goal, teacher.joints(answers.closing)], dim=-1).flatten(0, 2)
     weight = torch.where(answers.reachable, 1.0, UNREACHABLE_WEIGHT)
     # nothing is decided that would take effect after the catch
-    weight = weight * (rows + late < targets.free[:, None])[..., None]
+    weight = weight * (rows + delay < targets.catch[:, None])[..., None]
     weight = repeat(weight, "b q m -> (b q m) h", h=model.config.horizon)
     # (B * Q * M,)
     loss = model.head.loss(context, model.normalize(actions, origin.detach()), weight)
@@ -158,11 +158,11 @@ def closed_loop_loss(
     frames ``rows`` ``(B, R)``; the forecast counts from when these take effect.
     """
     targets = window.targets
-    late = window.delay_frames
+    delay = window.delay_frames
     assert targets is not None
     n_frames = window.recorded.shape[1]
     device = rows.device
-    due = rows[:, :1] + late + torch.arange(rows.shape[1] + 1, device=device)  # (B, R + 1)
+    due = rows[:, :1] + delay + torch.arange(rows.shape[1] + 1, device=device)  # (B, R + 1)
     # a palm passes the target between a frame and the next one, which must be known as well
     known = (due[:, :-1] < targets.length[:, None] - 1) & (due[:, :-1] < n_frames)
     path = gather_frames(targets.path, due.clamp_max(targets.path.shape[1] - 1))

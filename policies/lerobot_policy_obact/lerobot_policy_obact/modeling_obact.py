@@ -362,13 +362,13 @@ class ObActPolicy(PreTrainedPolicy):
         frames = self._history.frames()
         forecast = model.encode_history(frames)[:, 0]
         if self.config.forecasts:
-            actions, origin = self._rolled_out(forecast, frames, inference_delay, n_actions)
+            actions, origin = self._act_ahead(forecast, frames, inference_delay, n_actions)
         else:  # recorded actions were learned from where the palm is now
             actions, origin = self._decide(forecast, frames.palm[:, -1], frames.state[:, -1])
-        eyes, rays = model.forecaster.sighted(frames)
+        centers, rays = model.forecaster.sighted(frames)
         self.decision = Decision(
             sightings=frames.sightings[:, -1],
-            sighted=(eyes + rays)[:, -1],
+            sighted=(centers + rays)[:, -1],
             forecast=forecast.places,
             ahead_s=model.forecaster.ahead_s,
             intercept=origin[:, 0],
@@ -385,7 +385,7 @@ class ObActPolicy(PreTrainedPolicy):
         chunk = model.unnormalize(model.head.sample(context, self._history.ticks[-1]), origin)
         return chunk.float(), origin
 
-    def _rolled_out(
+    def _act_ahead(
         self, forecast: Forecast, frames: Frames, inference_delay: int, n_actions: int
     ) -> tuple[Tensor, Tensor]:
         """Return actions for the newest frame and those after it, ``(B, n_actions, A)``, and the

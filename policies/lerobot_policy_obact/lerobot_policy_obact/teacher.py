@@ -41,7 +41,7 @@ class Targets(Record):
 
     path: Tensor  # [m], (B, F, 3)
     length: Tensor  # known frames of that, (B,)
-    free: Tensor  # frames in which there is something to decide: until the catch, (B,)
+    catch: Tensor  # the frame in which the hand has caught them; nothing is decided after it, (B,)
 
     def places(self, frame: Tensor) -> Tensor:
         """Return where targets are in frames ``(B, Q, K)`` [m], ``(B, Q, K, 3)``."""
@@ -83,13 +83,13 @@ class Teacher:
         known = (frame < targets.length[:, None, None])[:, :, None]
         distance = (future - palms[:, :, :, None]).norm(dim=-1)  # (B, Q, M, K)
         # what the palm is short of [m]
-        late = (distance - self.step_m * ahead).masked_fill(~known, float("inf"))
+        short_m = (distance - self.step_m * ahead).masked_fill(~known, float("inf"))
         slack_m = SLACK * self.radius_m
-        possible = late <= slack_m
+        possible = short_m <= slack_m
         planned = known & (distance - PLANNED_SPEED * self.step_m * ahead <= slack_m)
         reachable = possible.any(-1)
         possible = torch.where(planned.any(-1, keepdim=True), planned, possible)
-        frames = torch.where(reachable, possible.int().argmax(-1), late.argmin(-1)) + 1
+        frames = torch.where(reachable, possible.int().argmax(-1), short_m.argmin(-1)) + 1
         chosen = repeat(frames - 1, "b q m -> b q m 1 i", i=3)
         intercept = future.expand(-1, -1, palms.shape[2], -1, -1).gather(3, chosen)
         left = frames[..., None] - torch.arange(horizon, device=due.device)

@@ -94,8 +94,8 @@ class VirtualHands:
         donors = Donors(window, self.model.forecaster.cameras)
         shown = self._with_palm(shown, donors, self._ways(shown, donors, virtual, later))
         assert shown.targets is not None
-        free = torch.where(virtual, self._catch(shown), targets.free)
-        return replace(shown, targets=replace(shown.targets, free=free))
+        catch = torch.where(virtual, self._catch(shown), targets.catch)
+        return replace(shown, targets=replace(shown.targets, catch=catch))
 
     def _catch(self, window: Window) -> Tensor:
         """Return the frames in which hands have caught their targets, ``(B,)``; of those that do
@@ -122,7 +122,7 @@ class VirtualHands:
         device = window.begin.device
         assert window.targets is not None
         path = window.targets.path
-        late = window.delay_frames
+        delay = window.delay_frames
         spread_m = PUSH_M * torch.rand(b, 1, device=device) ** PUSH_POWER
         spread_m = spread_m * (virtual & _chance(PUSHED_SHARE, b, device))[:, None]
         near = path[:, 0] + LATER_M * torch.randn(b, 3, device=device)
@@ -136,19 +136,19 @@ class VirtualHands:
             along = recorded_palm[:, t + 1] + start - recorded_palm[:, 0]
             goal = torch.where(follows & donors.usable[:, t + 1, None], along, path[:, t + 1])
             palm = stepped(way[-1], goal + pushes[:, t], embodiment.step_m)
-            way.append(torch.where((begin + late <= t)[:, None], palm, way[-1]))
+            way.append(torch.where((begin + delay <= t)[:, None], palm, way[-1]))
         ways = torch.where(virtual[:, None, None], torch.stack(way, dim=1), recorded_palm)
         led = virtual & _chance(LED_SHARE, b, device)
         seen = self._with_palm(window, donors, ways).frames[led]
-        rows = torch.arange(max(0, n - 1 - late), device=device).expand(len(seen.state), -1)
-        forecast = self.model.encode_history(seen, rows).later(late)
-        start = ways[led, : late + 1]
+        rows = torch.arange(max(0, n - 1 - delay), device=device).expand(len(seen.state), -1)
+        forecast = self.model.encode_history(seen, rows).later(delay)
+        start = ways[led, : delay + 1]
         ways[led] = rolled_out(self.model, forecast, start, begin=begin[led], pushes=pushes[led])
         return ways
 
     def _pushes(self, spread_m: Tensor, begin: Tensor, n: int) -> Tensor:
-        """Return by how much goals are off in n frames, ``(B, n, 3)`` [m]; that changes when a hand
-        begins to move, and now and then.
+        """Return by how much goals are off in n frames, ``(B, n, 3)`` [m]; that changes in the frame
+        from which on a hand may move, and now and then.
         """
         b = len(begin)
         device = begin.device
@@ -183,7 +183,7 @@ class Donors:
         n = window.recorded.shape[1]
         assert targets is not None
         row = torch.arange(n, device=recorded.device)
-        usable = recorded & (row < targets.free[:, None])
+        usable = recorded & (row < targets.catch[:, None])
         # a window after the catch has none: one must do, though it may show something else
         usable[:, 0] |= ~usable.any(1)
         self.usable = usable

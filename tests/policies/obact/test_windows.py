@@ -121,7 +121,7 @@ def test_frames_after_the_catch_lend_no_errors():
     error = torch.zeros(64, LENGTH, 3)
     error[:, 20:] = 5.0  # what the eye makes of a target in the hand
     window = windows(error=error)
-    window = replace(window, targets=replace(window.targets, free=torch.full((64,), 20)))
+    window = replace(window, targets=replace(window.targets, catch=torch.full((64,), 20)))
     palm = window.frames.palm
     seen = seen_from(palm, window)[..., :3]
     torch.testing.assert_close(seen, view_from(palm, window), atol=1e-3, rtol=0)
@@ -153,17 +153,17 @@ def test_a_virtual_hand_decides_until_it_has_caught_its_target():
     targets = shown.targets
     near = teacher().misses(offset) < teacher().radius_m
     frame = torch.arange(1, LENGTH)
-    assert not near[frame < targets.free[:, None]].any()
+    assert not near[frame < targets.catch[:, None]].any()
     caught = near.any(1)
     assert 0 < caught.sum() < len(caught), "some catch it in the window, some do not"
-    assert near[caught].gather(1, targets.free[caught, None] - 1).all()
-    assert (targets.free[~caught] == targets.length[~caught]).all()
+    assert near[caught].gather(1, targets.catch[caught, None] - 1).all()
+    assert (targets.catch[~caught] == targets.length[~caught]).all()
 
 
 def test_where_nothing_is_to_be_decided_only_the_forecast_is_learned():
     window = windows()
     actor = policy(closed_loop_weight=0.0)
-    caught = replace(window, targets=replace(window.targets, free=torch.full((64,), PAST - 1)))
+    caught = replace(window, targets=replace(window.targets, catch=torch.full((64,), PAST - 1)))
     losses = window_losses(actor.model, caught, teacher())
     assert losses["action"].abs().max() == losses["missed"].abs().max() == 0
     assert losses["forecast"].min() > 0
