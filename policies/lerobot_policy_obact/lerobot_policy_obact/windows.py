@@ -147,8 +147,8 @@ class VirtualHands:
         return ways
 
     def _pushes(self, spread_m: Tensor, begin: Tensor, n: int) -> Tensor:
-        """Return by how much goals are off in n frames, ``(B, n, 3)`` [m]; that changes in the frame
-        from which on a hand may move, and now and then.
+        """Return by how much goals are off in n frames, ``(B, n, 3)`` [m]; that changes when a hand
+        may begin to move, and now and then.
         """
         b = len(begin)
         device = begin.device
