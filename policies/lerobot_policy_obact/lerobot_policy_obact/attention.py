@@ -15,8 +15,8 @@ from .frames import gather_frames
 AGE_STEP_S = 0.05
 N_AGES = 128
 """A bias by age is learned at this many ages, this far apart, and interpolated between them: up to
-6.35 s, and the same for all that is older, which only policies that look back farther see (those
-that ship, up to 200 frames). Not tuned."""
+6.35 s, and the same for all that is older, which only policies that look back farther see, such as
+`obact_contact` with its 200 frames. Not tuned."""
 SAME_TIME_S = 1e-3
 """Frames whose times differ by less are of the same time; none is as fast."""
 REACH_CELLS = 2
