@@ -257,8 +257,8 @@ class Table:
         return self.files[np.searchsorted(self.ends, row, side="right")]
 
     def rows(self, start: int, stop: int) -> pa.Table:
-        """Return the rows ``start`` to ``stop`` (excluded), as far as they are in one file; ReadError
-        if it is missing or damaged.
+        """Return the rows ``start`` to ``stop`` (excluded), as far as they are in one file;
+        ReadError if it is missing or damaged.
         """
         number = int(np.searchsorted(self.ends, start, side="right"))
         table = self._read(self.files[number])

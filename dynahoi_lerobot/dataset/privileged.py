@@ -211,8 +211,8 @@ class PrivilegedTables:
         ]
 
     def episode(self, index: int, first: int, stop: int) -> Privileged:
-        """Return the rows of an episode, whose frames are numbered ``first`` to ``stop`` (excluded);
-        ReadError as ``problem`` says.
+        """Return the rows of an episode, whose frames are numbered ``first`` to ``stop``
+        (excluded); ReadError as ``problem`` says.
         """
         self._check()
         return Privileged(self.frames.rows(first, stop), self.episodes.rows(index, index + 1))

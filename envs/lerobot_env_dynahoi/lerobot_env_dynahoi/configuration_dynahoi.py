@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, make_dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, get_type_hints
+from typing import Any
 
 import gymnasium as gym
 from lerobot.configs import FeatureType, PolicyFeature
@@ -14,7 +14,7 @@ from lerobot.utils.constants import OBS_ENV_STATE
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.features import TRUTH, Feature
-from dynahoi_lerobot.core.nested import changed, field_names
+from dynahoi_lerobot.core.nested import changed, leaves
 from dynahoi_lerobot.core.registry import known
 from dynahoi_lerobot.env.vector_env import REWARDS, SPARSE
 from dynahoi_lerobot.evaluate.results import RunInfo
@@ -25,11 +25,13 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 from lerobot_env_dynahoi.command_line import Launch, read_launch
 from lerobot_env_dynahoi.task_env import ResultsLog, TaskEnv
 
-HINTS = get_type_hints(Recipe) | get_type_hints(Rules)
-OFFERED = [name for name in field_names(Recipe) if name != "motions"]
-"""Fields of recipe and rules that are options here, too; ``task`` names the motions."""
+OFFERED: dict[str, Any] = {
+    entry.name: entry.type for _, entry in leaves(Recipe) if entry.name != "motions"
+}
+"""Types of the fields of recipe and rules that are options here, too; ``task`` names the
+motions."""
 RecipeFields = make_dataclass(
-    "RecipeFields", [(name, HINTS[name] | None, field(default=None)) for name in OFFERED]
+    "RecipeFields", [(name, hint | None, field(default=None)) for name, hint in OFFERED.items()]
 )
 """These fields, None where nothing is said."""
 
