@@ -67,25 +67,13 @@ class Privileged:
         """Return the rows of an episode without their keys: of ``features``, the privileged ones
         count.
         """
-        own = (feature for feature in features if feature.privileged)
+        own = [feature for feature in features if feature.privileged]
         arrays = {f.key: np.asarray(getattr(episode, f.name), f.dtype) for f in own}
-        frames, row = schemas(features)
-        return cls(
-            pa.table(
-                {
-                    key: flat_array(arrays[key], frames.field(key).type)
-                    for key in frames.names
-                    if key not in FRAME_KEYS
-                }
-            ),
-            pa.table(
-                {
-                    key: _cell(arrays[key], row.field(key).type)
-                    for key in row.names
-                    if key not in EPISODE_KEYS
-                }
-            ),
-        )
+        frames = {f.key: flat_array(arrays[f.key], _row_type(f)) for f in own if f.per == "frame"}
+        row = {
+            f.key: pa.array([arrays[f.key].tolist()], _row_type(f)) for f in own if f.per != "frame"
+        }
+        return cls(pa.table(frames), pa.table(row))
 
     def placed(self, episode_index: int) -> Self:
         """Return the rows with the keys of an episode of this index."""
@@ -127,17 +115,10 @@ def cell_array(cell: Any, feature: Feature) -> np.ndarray:
     return np.array(cell, feature.dtype).reshape(shape)
 
 
-def _cell(values: np.ndarray, kind: pa.DataType) -> pa.Array:
-    """Return a column of one cell."""
-    if pa.types.is_list(kind):
-        return pa.ListArray.from_arrays([0, len(values)], flat_array(values, kind.value_type))
-    return flat_array(values, kind)
-
-
 def _with_columns(table: pa.Table, columns: dict[str, np.ndarray]) -> pa.Table:
-    """Return a table that begins with these columns, and then has its others."""
-    others = {name: table[name] for name in table.column_names if name not in columns}
-    return pa.table({name: pa.array(values) for name, values in columns.items()} | others)
+    """Return a table with these columns in place of its own, or beside them."""
+    own = {name: table[name] for name in table.column_names}
+    return pa.table(own | {name: pa.array(values) for name, values in columns.items()})
 
 
 class PrivilegedTables:

@@ -30,6 +30,12 @@ OFFERED: dict[str, Any] = {
 }
 """Types of the fields of recipe and rules that are options here, too; ``task`` names the
 motions."""
+NEEDED = {
+    "max_parallel_tasks": (1, "because LeRobot's parallel tasks share one policy and its memory"),
+    "fps": (CONTROL_HZ, "the rate of the simulation's commands and frames"),
+    "disable_env_checker": (True, "because Gymnasium checks no vector environment"),
+}
+"""Options of LeRobot's with one value, and why."""
 RecipeFields = make_dataclass(
     "RecipeFields", [(name, hint | None, field(default=None)) for name, hint in OFFERED.items()]
 )
@@ -77,15 +83,10 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
             ValueError: for an unknown name, naming the ones there are, for more than one task at a
                 time, or for an option of LeRobot's that has no effect here.
         """
-        if self.max_parallel_tasks != 1:
-            told = "must be 1, because LeRobot's parallel tasks share one policy and its memory"
-            raise ValueError(f"env.max_parallel_tasks {told}, got {self.max_parallel_tasks}")
-        if self.fps != CONTROL_HZ:
-            told = f"must be {CONTROL_HZ}, the rate of the simulation's commands and frames"
-            raise ValueError(f"env.fps {told}, got {self.fps}")
-        if not self.disable_env_checker:
-            told = "must be true, because Gymnasium checks no vector environment"
-            raise ValueError(f"env.disable_env_checker {told}, got false")
+        for name, (needed, reason) in NEEDED.items():
+            if getattr(self, name) != needed:
+                told = f"must be {str(needed).lower()}, {reason}"
+                raise ValueError(f"env.{name} {told}, got {str(getattr(self, name)).lower()}")
         timing = Inference(self.inference, self.latency_ms)
         if self.n_action_steps and timing.mode == SYNC:
             told = "is read with env.inference=async alone; leave it out"
