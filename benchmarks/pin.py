@@ -1,12 +1,12 @@
-"""Pin the benchmark: its digests, and where the draws of its episodes succeed; or compare.
+"""Pin the benchmark: its digests, and the attempts at which its episodes' draws fit; or compare.
 
 python benchmarks/pin.py [--check] [--json FILE]
 
 ``--digests`` (tests/sampling/benchmark_digests.json) holds digests of the definition
 (`sampling/benchmark.py`), of the specs of every seed of all splits (of ``train`` the first 220),
 and of images of the default renderer at 64 px. A digest that changes is a new benchmark version.
-``--entries`` (dynahoi_lerobot/sampling/accepted.npz) holds the accepted draw of every seed of the
-splits of fixed size. Every seed is searched from its first draw.
+``--entries`` (dynahoi_lerobot/sampling/accepted.npz) holds the accepted attempt of every seed of
+the splits of fixed size. Every seed is searched from its first attempt.
 """
 
 import hashlib
@@ -25,10 +25,10 @@ from dynahoi_lerobot.core.agent import Expert, WorldView
 from dynahoi_lerobot.core.conventions import PALM_DOF
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.rollout.loop import evaluate
-from dynahoi_lerobot.sampling.accepted import ENTRIES, ENTRY, checksum_of, entry_of
+from dynahoi_lerobot.sampling.accepted import ENTRIES
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.sampler import Candidate, resume, sample_specs, search
+from dynahoi_lerobot.sampling.sampler import Candidate, sample_specs, search
 from dynahoi_lerobot.world.batch import WorldBatch
 
 DIGESTS = Path(__file__).parents[1] / "tests" / "sampling" / "benchmark_digests.json"
@@ -84,18 +84,18 @@ def main() -> int:
         "--with-images", type=int, default=IMAGE_EPISODES, help="episodes of each split with images"
     )
     args = parser.parse_args()
-    pinned, entries = pin(args.seeds, args.with_images)
+    pinned, attempts = pin(args.seeds, args.with_images)
     episodes = sum(map(len, pinned["specs"].values()))
     write_numbers(args, specs=episodes, images=len(pinned["images"]))
     if args.check:
         wanted = read(args.digests)
         sentences = differences(pinned, wanted)
-        sentences += entry_differences(entries, benchmark_id(wanted), args.entries)
+        sentences += attempt_differences(attempts, benchmark_id(wanted), args.entries)
         print("\n".join(sentences) or f"{args.digests} and {args.entries}: nothing differs")
         return bool(sentences)
     args.digests.write_text(json.dumps(_in_lines(pinned), indent=1) + "\n")
     identity = np.array(benchmark_id(pinned))
-    np.savez_compressed(args.entries, benchmark=identity, **entries)  # type: ignore[arg-type]
+    np.savez_compressed(args.entries, benchmark=identity, **attempts)  # type: ignore[arg-type]
     print(f"{args.digests} and {args.entries}: {identity}, {episodes} episodes")
     print(f"EPISODES_DIGEST in dynahoi_lerobot/sampling/benchmark.py: {digest_of(pinned)}")
     return 0
@@ -104,20 +104,20 @@ def main() -> int:
 def pin(
     seeds: int | None = None, with_images: int = IMAGE_EPISODES
 ) -> tuple[Pinned, dict[str, np.ndarray]]:
-    """Return all digests, and the entries of the splits of fixed size; of the first ``seeds`` of
-    each split only if that is given.
+    """Return all digests, and the accepted attempts of the splits of fixed size; of the first
+    ``seeds`` of each split only if that is given.
     """
     specs = {}
-    entries = {}
+    attempts = {}
     images: dict[str, str] = {}
     for split in BENCHMARK.streams:
         accepted = searched(split, pinned_seeds(split)[:seeds])
         specs[split] = {spec.seed: spec_digest(spec) for _, spec in accepted}
         if BENCHMARK.splits[split].size:
-            entries[split] = entries_of(split, accepted)
+            attempts[split] = np.array([candidate.attempts for candidate, _ in accepted], np.uint16)
         images |= image_digests(split, with_images)
     pinned = {"version": BENCHMARK.version, "definition": definition()}
-    return pinned | {"specs": specs, "images": images}, entries
+    return pinned | {"specs": specs, "images": images}, attempts
 
 
 def definition() -> str:
@@ -148,23 +148,6 @@ def searched(
     return [
         one for some in batched(seeds, AT_ONCE) for one in search(recipe, some, threads=threads)
     ]
-
-
-def entries_of(split: str, accepted: Sequence[tuple[Candidate, EpisodeSpec]]) -> np.ndarray:
-    """Return (K,) `ENTRY` of accepted candidates and their specs."""
-    recipe = Recipe(split=split)
-    entries = []
-    for some in batched(accepted, AT_ONCE):
-        starts = [
-            (spec.seed, entry_of(candidate.start, candidate.timing, home=0, checksum=0))
-            for candidate, spec in some
-        ]
-        resumed = resume(recipe, starts, threads=0)
-        for (candidate, spec), (again, paths_w, homes) in zip(some, resumed, strict=True):
-            (home, *_) = np.flatnonzero((homes == spec.home_pos_w).all(axis=1))
-            checksum = checksum_of(paths_w, spec.home_pos_w, again.target)
-            entries.append(entry_of(candidate.start, candidate.timing, int(home), checksum))
-    return np.array(entries, ENTRY)
 
 
 def spec_digest(spec: EpisodeSpec) -> str:
@@ -215,18 +198,16 @@ def differences(found: Pinned, wanted: Pinned) -> list[str]:
     return sentences + _differing("images", found["images"], wanted["images"])
 
 
-def entry_differences(entries: dict[str, np.ndarray], identity: str, path: Path) -> list[str]:
-    """Return a sentence for every split whose entries a file has otherwise, and for another
+def attempt_differences(attempts: dict[str, np.ndarray], identity: str, path: Path) -> list[str]:
+    """Return a sentence for every split whose attempts a file has otherwise, and for another
     benchmark.
     """
     with np.load(path) as stored:
         name = str(stored["benchmark"])
         sentences = [] if name == identity else [f"benchmark is {identity!r}; {path} has {name!r}"]
-        for split, rows in entries.items():
-            pairs = (
-                {i: row.tobytes() for i, row in enumerate(some)} for some in (rows, stored[split])
-            )
-            sentences += _differing(f"entries of {split}", *pairs)
+        for split, rows in attempts.items():
+            pairs = (dict(enumerate(some.tolist())) for some in (rows, stored[split]))
+            sentences += _differing(f"attempts of {split}", *pairs)
     return sentences
 
 

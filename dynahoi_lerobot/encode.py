@@ -7,9 +7,10 @@ windows of these in the time that it needs to decode a few images.
 
 import json
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stderr
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from io import StringIO
 from itertools import batched
@@ -96,11 +97,9 @@ def encode(
     if output.exists():
         raise FileExistsError(f"{output} exists; choose a new folder")
     store = Store(root)
-    views = {}
     manifest = Manifest.read(root)
-    for key in store.image_keys:
-        view = key.removeprefix(IMAGE_PREFIX)
-        views[view] = image_sensor(sensor)(view)
+    names = [key.removeprefix(IMAGE_PREFIX) for key in store.image_keys]
+    views = {view: image_sensor(sensor)(view) for view in names}
     if not views:
         raise ValueError(f"{root} has no images to encode")
     if environment_state and (sensor != EYE or EGO_VIEW not in views):
@@ -109,16 +108,18 @@ def encode(
             f"{', '.join(views)} and the sensor is {sensor!r}"
         )
     dataset = open_dataset(root)
-    columns = dict(zip(views, _sightings(store, views), strict=True))
+    columns = _sightings(store, views)
     added: dict[str, Any] = {
         SIGHTINGS_PREFIX + view: (values, _vector(values, views[view].names))
         for view, values in columns.items()
     }
-    provenance = manifest.provenance | {ENCODED: {"sensor": sensor, "from": manifest.digest}}
+    provenance = deepcopy(manifest.provenance)
+    provenance[ENCODED] = {"sensor": sensor, "from": manifest.digest}
     if environment_state:
         values = _eye_states(store, type(views[EGO_VIEW]), columns[EGO_VIEW])
         added[ENVIRONMENT_STATE] = (values, _vector(values, SIGHTING_NAMES))
-        provenance = _with_rule(provenance, "environment_state", EYE)
+        if provenance.get("recording"):
+            provenance["recording"]["recipe"]["rules"]["environment_state"] = EYE
     with new_folder(output) as folder:
         with redirect_stderr(StringIO()):  # two bars of progress for seconds
             modify_features(dataset, added, store.image_keys, folder, dataset.repo_id)
@@ -133,8 +134,8 @@ def encode(
     return signed
 
 
-def _sightings(store: Store, views: dict[str, ImageSensor]) -> Iterator[np.ndarray]:
-    """Yield the sightings of all frames in each view, (N, D) float32."""
+def _sightings(store: Store, views: dict[str, ImageSensor]) -> dict[str, np.ndarray]:
+    """Return the sightings of all frames by view, (N, D) float32."""
 
     def see(stored: StoredEpisode) -> dict[str, np.ndarray]:
         sightings = {}
@@ -144,14 +145,12 @@ def _sightings(store: Store, views: dict[str, ImageSensor]) -> Iterator[np.ndarr
             sightings[view] = sensor.see(images, before)
         return sightings
 
-    found: dict[str, list[np.ndarray]] = {view: [] for view in views}
+    found: list[dict[str, np.ndarray]] = []
     # decoders and networks release Python's lock
     with reading(store.root), ThreadPoolExecutor(cores()) as pool:
         for episodes in batched(store.stored_episodes(), EPISODES_AT_ONCE):
-            for sightings in pool.map(see, episodes):
-                for view, values in sightings.items():
-                    found[view].append(values)
-    return (np.concatenate(parts) for parts in found.values())
+            found += pool.map(see, episodes)
+    return {view: np.concatenate([sightings[view] for sightings in found]) for view in views}
 
 
 def _vector(values: np.ndarray, names: Sequence[str]) -> dict[str, Any]:
@@ -171,16 +170,6 @@ def _eye_states(store: Store, sensor: type[ImageSensor], sightings: np.ndarray) 
         strict=True,
     )
     return np.concatenate([eye_state(sensor, *episode) for episode in episodes])
-
-
-def _with_rule(provenance: dict[str, Any], name: str, value: str) -> dict[str, Any]:
-    """Return a provenance with one field of its rules replaced, if it has rules."""
-    recording = provenance.get("recording")
-    if not recording:
-        return provenance
-    rules = recording["recipe"]["rules"] | {name: value}
-    recipe = recording["recipe"] | {"rules": rules}
-    return provenance | {"recording": recording | {"recipe": recipe}}
 
 
 def _copy_unknown(source: Path, target: Path) -> None:

@@ -12,7 +12,7 @@ from dynahoi_lerobot.core.conventions import CONTROL_DT
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.protocols import CONTROL_CLASSES
 from dynahoi_lerobot.core.spec import EpisodeSpec
-from dynahoi_lerobot.dataset.quality_control import trajectory_problems
+from dynahoi_lerobot.dataset.quality_control import broken_rules
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.experts.baselines import fixed_path, home_table
 from dynahoi_lerobot.experts.intercept import Intercept
@@ -130,7 +130,7 @@ def test_the_label_is_the_meeting_and_in_the_window_that_of_the_start_of_control
 ):
     recipe = Recording.of(image_size=0, split=specs[0].split, perturbed_share=0.0)
     for episode in record(recipe, [spec.seed for spec in specs[:22]]):
-        assert not trajectory_problems(episode)
+        assert not broken_rules(episode)
         window = episode.meta.window_frames
         path = episode.target_path_h
         free = int(np.flatnonzero(~episode.localized)[-1]) + 1
@@ -146,7 +146,7 @@ def test_the_expert_finds_back_when_its_palm_is_pulled_away():
     pulled = Recording.of(image_size=0, perturbed_share=1.0)
     episodes = list(record(pulled, range(22)))
     assert len(episodes) >= 0.9 * 22
-    assert not any(map(trajectory_problems, episodes))
+    assert not any(map(broken_rules, episodes))
     strayed_m = []
     for episode in episodes:
         free = slice(episode.meta.window_frames, int(np.flatnonzero(~episode.localized)[-1]) + 1)

@@ -38,7 +38,9 @@ def write_sample(out: Path, store: Store, key: str, per_kind: int) -> int:
     """
     chosen = stratified([row["motion"] for row in store.rows], per_kind)
     columns = {name: column(store.root, name) for name in ("target.pose", "observation.phase")}
-    episodes = [_episode(store, index, key, columns) for index in chosen]
+    # in the order of the dataset, in which each of its files is read once
+    shown = {index: _episode(store, index, key, columns) for index in sorted(chosen)}
+    episodes = [shown[index] for index in chosen]
     _scale_closing(episodes)
     data = {"episodes": episodes, "columns": SHEET_COLUMNS, "command": removal_command(store.root)}
     text = filled(

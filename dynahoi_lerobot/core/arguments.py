@@ -5,9 +5,11 @@ options describes.
 from argparse import SUPPRESS, ArgumentParser, ArgumentTypeError
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import MISSING, Field, field, fields, is_dataclass
+from dataclasses import MISSING, Field, field, fields
 from pathlib import Path
 from typing import Any, get_type_hints
+
+from dynahoi_lerobot.core.nested import leaves
 
 BAD_INPUT = 2
 """Exit code."""
@@ -125,26 +127,18 @@ def add_options(parser: ArgumentParser, cls: type) -> None:
     hints = get_type_hints(cls)
     for entry in fields(cls):
         if "part" in entry.metadata:
-            for inner, hint, note in _options_of(cls, entry):
-                _add_option(parser, inner, hint, note)
+            for inner, note in _options_of(cls, entry):
+                _add_option(parser, inner, inner.type, note)
         else:
             _add_option(parser, entry, hints[entry.name])
 
 
-def _options_of(cls: type, part: Field[Any]) -> Iterator[tuple[Field[Any], Any, str]]:
-    """Yield the options that a ``given_of`` field of ``cls`` stands for, each with its type and
-    note.
-    """
+def _options_of(cls: type, part: Field[Any]) -> Iterator[tuple[Field[Any], str]]:
+    """Yield the options that a ``given_of`` field of ``cls`` stands for, each with its note."""
     own = {entry.name for entry in fields(cls)}
-    pending = [part.metadata["part"]]
-    while pending:
-        source = pending.pop()
-        hints = get_type_hints(source)
-        for entry in fields(source):
-            if is_dataclass(hints[entry.name]):
-                pending.append(hints[entry.name])
-            elif "help" in entry.metadata and entry.name not in own:
-                yield entry, hints[entry.name], part.metadata["notes"].get(source, "")
+    for source, entry in leaves(part.metadata["part"]):
+        if "help" in entry.metadata and entry.name not in own:
+            yield entry, part.metadata["notes"].get(source, "")
 
 
 def _add_option(parser: ArgumentParser, entry: Field[Any], hint: Any, note: str = "") -> None:
@@ -169,7 +163,7 @@ def read_options(cls: type, given: Mapping[str, Any]) -> Any:
     values = {entry.name: given[entry.name] for entry in fields(cls) if entry.name in given}
     for entry in fields(cls):
         if "part" in entry.metadata:
-            names = {inner.name for inner, _, _ in _options_of(cls, entry)}
+            names = {inner.name for inner, _ in _options_of(cls, entry)}
             values[entry.name] = {key: value for key, value in given.items() if key in names}
     return cls(**values)
 

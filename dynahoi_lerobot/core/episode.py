@@ -1,6 +1,6 @@
 """Episode: the narrow waist. The expert writes it, the dataset stores it, metrics read it."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -62,7 +62,7 @@ class EpisodeMeta:
     benchmark: str
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Episode:
     """One rollout of T frames at 20 Hz; frame t holds an observation and the command that followed.
 
@@ -95,47 +95,50 @@ class Episode:
     """
 
     meta: EpisodeMeta
-    images: dict[str, np.ndarray] = field(repr=False)
-    state: np.ndarray = field(repr=False)
-    fingertips: np.ndarray = field(repr=False)
-    phase: np.ndarray = field(repr=False)
-    action: np.ndarray = field(repr=False)
-    given_action: np.ndarray = field(repr=False)
-    executed_action: np.ndarray = field(repr=False)
-    target_pose_h: np.ndarray = field(repr=False)
-    target_velocity_w: np.ndarray = field(repr=False)
-    target_path_h: np.ndarray = field(repr=False)
-    target_contacts: np.ndarray = field(repr=False)
-    palm_distance_m: np.ndarray = field(repr=False)
-    fingertip_distance_m: np.ndarray = field(repr=False)
-    localized: np.ndarray = field(repr=False)
-    captured: np.ndarray = field(repr=False)
-    intercept_pos_h: np.ndarray = field(repr=False)
+    images: dict[str, np.ndarray]
+    state: np.ndarray
+    fingertips: np.ndarray
+    phase: np.ndarray
+    action: np.ndarray
+    given_action: np.ndarray
+    executed_action: np.ndarray
+    target_pose_h: np.ndarray
+    target_velocity_w: np.ndarray
+    target_path_h: np.ndarray
+    target_contacts: np.ndarray
+    palm_distance_m: np.ndarray
+    fingertip_distance_m: np.ndarray
+    localized: np.ndarray
+    captured: np.ndarray
+    intercept_pos_h: np.ndarray
     intercept_s: float
-    home_pos_w: np.ndarray = field(repr=False)
-    open_joints: np.ndarray = field(repr=False)
-    reference_joints: np.ndarray = field(repr=False)
-    succeeded: np.ndarray = field(repr=False)
-    object_primitives: np.ndarray = field(repr=False)
-    object_size: np.ndarray = field(repr=False)
+    home_pos_w: np.ndarray
+    open_joints: np.ndarray
+    reference_joints: np.ndarray
+    succeeded: np.ndarray
+    object_primitives: np.ndarray
+    object_size: np.ndarray
     object_mass_kg: float
-    object_inertia: np.ndarray = field(repr=False)
-    object_friction: np.ndarray = field(repr=False)
+    object_inertia: np.ndarray
+    object_friction: np.ndarray
     object_restitution: float
-    ego_camera_pose_palm: np.ndarray = field(repr=False)
-    side_camera_pose_h: np.ndarray = field(repr=False)
-    ego_intrinsics: np.ndarray = field(repr=False)
-    side_intrinsics: np.ndarray = field(repr=False)
-    hand_limits: np.ndarray = field(repr=False)
-    first_plan: np.ndarray = field(repr=False)
+    ego_camera_pose_palm: np.ndarray
+    side_camera_pose_h: np.ndarray
+    ego_intrinsics: np.ndarray
+    side_intrinsics: np.ndarray
+    hand_limits: np.ndarray
+    first_plan: np.ndarray
     success: bool
     stage: str
-    touch: np.ndarray | None = field(default=None, repr=False)
-    sighting: np.ndarray | None = field(default=None, repr=False)
+    touch: np.ndarray | None = None
+    sighting: np.ndarray | None = None
 
     def __len__(self) -> int:
         """Return T, the number of frames."""
         return len(self.state)
+
+    def __repr__(self) -> str:
+        return f"Episode({self.meta}, {len(self)} frames, {self.stage})"
 
     @property
     def control(self) -> slice:

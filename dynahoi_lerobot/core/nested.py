@@ -4,23 +4,25 @@ a YAML file, LeRobot's ``--env.capture``.
 
 import dataclasses
 import json
-from collections.abc import Mapping
-from typing import Any, get_type_hints
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 
-def field_names(cls: type) -> list[str]:
-    """Return the names of the fields of a dataclass and of those within it, the inner ones
-    first.
+def leaves(cls: Any) -> Iterator[tuple[type, dataclasses.Field[Any]]]:
+    """Yield the fields of a dataclass and of those within it, the inner ones first, each after the
+    class that has it; a field that holds a dataclass is none of them.
     """
-    inner = _inner(cls)
-    nested = [name for part in inner.values() for name in field_names(part)]
-    return nested + [entry.name for entry in dataclasses.fields(cls) if entry.name not in inner]
+    for entry in dataclasses.fields(cls):
+        if dataclasses.is_dataclass(entry.type):
+            yield from leaves(entry.type)
+    for entry in dataclasses.fields(cls):
+        if not dataclasses.is_dataclass(entry.type):
+            yield cls, entry
 
 
-def marked(cls: type, mark: str) -> list[str]:
-    """Return those ``field_names`` whose metadata have a mark."""
-    names = [name for part in _inner(cls).values() for name in marked(part, mark)]
-    return names + [entry.name for entry in dataclasses.fields(cls) if entry.metadata.get(mark)]
+def field_names(cls: Any) -> list[str]:
+    """Return the names of the ``leaves``."""
+    return [entry.name for _, entry in leaves(cls)]
 
 
 def changed[T](config: T, values: Mapping[str, Any]) -> T:
@@ -56,15 +58,17 @@ def as_json(config: Any) -> dict[str, Any]:
     return json.loads(json.dumps(values))
 
 
-def nested(cls: type, values: Mapping[str, Any]) -> dict[str, Any]:
+def nested(cls: Any, values: Mapping[str, Any]) -> dict[str, Any]:
     """Return flat ``values`` as a dictionary that is nested as the dataclass is; names that no
     field has stay outside.
     """
     tree = dict(values)
-    for name, part in _inner(cls).items():
-        own = {key: tree.pop(key) for key in field_names(part) if key in tree}
-        if own:
-            tree[name] = nested(part, own)
+    for entry in dataclasses.fields(cls):
+        if dataclasses.is_dataclass(entry.type):
+            names = field_names(entry.type)
+            own = {key: tree.pop(key) for key in names if key in tree}
+            if own:
+                tree[entry.name] = nested(entry.type, own)
     return tree
 
 
@@ -77,13 +81,3 @@ def flat(tree: Mapping[str, Any]) -> dict[str, Any]:
         else:
             entries[name] = value
     return entries
-
-
-def _inner(cls: type) -> dict[str, type]:
-    """The dataclasses within a dataclass, by the names of their fields."""
-    hints = get_type_hints(cls)
-    return {
-        entry.name: hints[entry.name]
-        for entry in dataclasses.fields(cls)
-        if dataclasses.is_dataclass(hints[entry.name])
-    }

@@ -312,17 +312,11 @@ def open_table(path: Path) -> pq.ParquetFile:
         return file
 
 
-def read_table(path: Path, columns: Collection[str] | None = None, filters: Any = None) -> pa.Table:
-    """Return a Parquet file, or of it some columns, or the rows that ``filters`` of pyarrow let
-    through.
-    """
-    import pyarrow.parquet as pq
-
+def read_table(path: Path, columns: Collection[str] | None = None) -> pa.Table:
+    """Return a Parquet file, or some columns of it."""
     with reading(path), open_table(path) as file:
         names = file.schema_arrow.names if columns is None else list(columns)
         _require_columns(file, names)
-        if filters is not None:
-            return pq.read_table(regular(path), columns=names, filters=filters, partitioning="")
         # read_table would take more than twice the memory where there are many row groups
         return file.read(names).select(names)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import math
-from bisect import bisect_right
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -46,6 +46,15 @@ BOOKKEEPING_COLUMNS = {
 DRAWN = ("action", "observation.state")
 """Columns whose histograms are drawn."""
 BINS = 50
+SIZES = {
+    "n<1K": 10**3,
+    "1K<n<10K": 10**4,
+    "10K<n<100K": 10**5,
+    "100K<n<1M": 10**6,
+    "1M<n<10M": 10**7,
+    "10M<n<100M": 10**8,
+}
+"""Numbers of rows at which the Hub's names for sizes end."""
 
 
 def write_card(store: Store, manifest: Manifest) -> None:
@@ -110,9 +119,9 @@ def markdown_template(text: str) -> Template:
 
 def _counts(store: Store, column: str) -> dict[str, tuple[int, int]]:
     """Return the number of episodes and of successes by value of a column of the episode table."""
-    names = sorted({row[column] for row in store.rows})
-    groups = {name: [row["success"] for row in store.rows if row[column] == name] for name in names}
-    return {name: (len(successes), sum(successes)) for name, successes in groups.items()}
+    episodes = Counter(row[column] for row in store.rows)
+    successes = Counter(row[column] for row in store.rows if row["success"])
+    return {name: (episodes[name], successes[name]) for name in sorted(episodes)}
 
 
 def _privileged_shape(feature: Feature) -> Sequence[object]:
@@ -133,12 +142,8 @@ def _cells(key: str, dtype: str, shape: Sequence[object], unit: str, meaning: st
 
 
 def _size_category(rows: int) -> str:
-    """Return the Hub's name for this number of rows, such as ``10K<n<100K``."""
-    names = ("1K", "10K", "100K", "1M", "10M", "100M")
-    place = bisect_right([1000 * 10**power for power in range(len(names))], rows)
-    if place == len(names):
-        return f"n>{names[-1]}"
-    return f"{names[place - 1]}<n<{names[place]}" if place else f"n<{names[0]}"
+    """Return the Hub's name for this number of rows."""
+    return next((name for name, end in SIZES.items() if rows < end), "n>100M")
 
 
 COLUMNS = 6

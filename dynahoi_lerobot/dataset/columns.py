@@ -5,6 +5,7 @@ them back.
 import io
 import json
 from collections.abc import Sequence
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from dynahoi_lerobot.core.features import (
     image_feature,
 )
 from dynahoi_lerobot.core.protocols import is_acting
-from dynahoi_lerobot.core.reading import read_table
+from dynahoi_lerobot.core.reading import open_table, read_table
 from dynahoi_lerobot.dataset.video import MAX_PIXELS, Encoding
 
 Features = dict[str, dict[str, Any]]
@@ -202,11 +203,11 @@ def column_array(table: pa.Table, key: str) -> np.ndarray:
     column = table[key].combine_chunks()
     values = column
     lengths: Any = [1]
-    if is_list(column.type):
+    if pa.types.is_list(column.type) or pa.types.is_fixed_size_list(column.type):
         values = column.flatten()
         lengths = pc.call_function("list_value_length", [column]).unique().to_pylist()
     if (
-        not is_number(values.type)
+        not pa.types.is_primitive(values.type)
         or column.null_count
         or values.null_count
         or len(lengths) > 1
@@ -220,31 +221,49 @@ def column_array(table: pa.Table, key: str) -> np.ndarray:
     return values.to_numpy(zero_copy_only=False).reshape(len(column), width)  # (n, D)
 
 
-def numeric_columns(files: Sequence[Path], keys: Sequence[str]) -> list[np.ndarray]:
-    """Return numeric columns of a table of several files, (n, D) each.
+class Table:
+    """A table of several Parquet files, read by columns or by rows; the file that rows were read
+    from last stays in memory.
 
-    Raises:
-        ValueError: as ``column_array``, or if a file is missing or damaged.
+    Attributes:
+        files: its files, in order; none if there is no such table.
     """
-    tables = [read_table(path, [*keys]) for path in files]
-    return [np.concatenate([column_array(table, key) for table in tables]) for key in keys]
 
+    def __init__(self, folder: Path) -> None:
+        """Look for the files in the chunks below ``folder``."""
+        self.files = sorted(folder.glob("*/*.parquet"))
+        self._read = lru_cache(maxsize=1)(read_table)
 
-def rows_of_episode(path: Path, index: int) -> pa.Table:
-    """Return those rows of a file of a table that are of an episode; ReadError if it is damaged."""
-    return read_table(path, filters=[("episode_index", "=", index)])
+    @cached_property
+    def ends(self) -> np.ndarray:
+        """(n,) number of rows up to the end of each file."""
+        return np.cumsum([open_table(path).metadata.num_rows for path in self.files])
 
+    def names(self) -> set[str]:
+        """Return the names of its columns; none if there is no such table."""
+        return {name for path in self.files[:1] for name in open_table(path).schema_arrow.names}
 
-def is_list(kind: pa.DataType) -> bool:
-    """Tell whether an arrow type is of lists."""
-    return (
-        pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind) or pa.types.is_large_list(kind)
-    )
+    def columns(self, keys: Sequence[str]) -> list[np.ndarray]:
+        """Return numeric columns, (n, D) each.
 
+        Raises:
+            ValueError: as ``column_array``, or if a file is missing or damaged.
+        """
+        tables = [read_table(path, keys) for path in self.files]
+        return [np.concatenate([column_array(table, key) for table in tables]) for key in keys]
 
-def is_number(kind: pa.DataType) -> bool:
-    """Tell whether an arrow type is of numbers, of which a bool is one."""
-    return pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)
+    def file(self, row: int) -> Path:
+        """Return the file that holds a row."""
+        return self.files[np.searchsorted(self.ends, row, side="right")]
+
+    def rows(self, start: int, stop: int) -> pa.Table:
+        """Return the rows ``start`` to ``stop`` (excluded), as far as they are in one file;
+        ReadError if it is missing or damaged.
+        """
+        number = int(np.searchsorted(self.ends, start, side="right"))
+        table = self._read(self.files[number])
+        first = int(self.ends[number]) - len(table)
+        return table.slice(start - first, stop - start).combine_chunks()
 
 
 def subtask_rows(acting: np.ndarray, localized: np.ndarray) -> list[dict[str, Any]]:

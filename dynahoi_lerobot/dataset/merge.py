@@ -8,8 +8,9 @@ re-encodes videos and drops our columns of the episode table.
 """
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from itertools import chain, dropwhile, islice
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from functools import lru_cache
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +26,6 @@ from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.dataset.video import stored_packets
 from dynahoi_lerobot.dataset.writer import DatasetWriter
 from dynahoi_lerobot.sampling.salt import refuse_to_mix
-
-_Opened = tuple[Path, Iterator[tuple[int, Packet]]]
-"""A video and its packets from the next one on, numbered."""
 
 
 def merge(sources: Sequence[Path], root: Path, limits: FileLimits | None = None) -> Manifest:
@@ -128,22 +126,22 @@ def _assemble(
             made = DatasetWriter(folder, columns, **options)
         with made as writer:
             for store, kept in chain([(first, kept_of_first)], sources):
-                opened: dict[str, _Opened] = {}
+                # each view's file that was read last stays in memory
+                packets_of = lru_cache(len(store.video_keys))(lambda path: [*stored_packets(path)])
                 with reading(store.root, OSError):
                     for index, stored in enumerate(store.stored_episodes()):
                         if kept is None or index in kept:
-                            writer.copy(store, stored, _episode_packets(store, stored.row, opened))
+                            writer.copy(
+                                store, stored, _episode_packets(store, stored.row, packets_of)
+                            )
             with reading(first.root, OSError):
                 return writer.finish(provenance, dict(yields))
 
 
 def _episode_packets(
-    store: Store, row: EpisodeRow, opened: dict[str, _Opened]
+    store: Store, row: EpisodeRow, packets_of: Callable[[Path], list[Packet]]
 ) -> dict[str, list[Packet]]:
-    """Return the packets of each view of an episode; none without video. Episodes are asked for in
-    their order.
-
-    The file of each view that was read last stays in ``opened`` as long as episodes are in it.
+    """Return the packets of each view of an episode; none without video.
 
     Raises:
         ValueError: if a file is shorter than the row says.
@@ -152,12 +150,10 @@ def _episode_packets(
     for key in store.video_keys:
         path = store.video_path(row, key)
         start = round(row[f"videos/{key}/from_timestamp"] * CONTROL_HZ)
-        if key not in opened or opened[key][0] != path:
-            opened[key] = path, enumerate(stored_packets(path))
-        numbered = dropwhile(lambda entry, start=start: entry[0] < start, opened[key][1])
-        found[key] = [packet for _, packet in islice(numbered, row["length"])]
+        stop = start + row["length"]
+        found[key] = packets_of(path)[start:stop]
         if len(found[key]) < row["length"]:
-            raise ValueError(f"{path} ends before frame {start + row['length']}")
+            raise ValueError(f"{path} ends before frame {stop}")
     return found
 
 

@@ -9,7 +9,7 @@ reads neither, so they cost no training anything; ``dataset.frame_column`` and
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -20,14 +20,8 @@ import pyarrow as pa
 
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import Feature, privileged_features
-from dynahoi_lerobot.core.reading import ReadError, open_table, read_table
-from dynahoi_lerobot.dataset.columns import (
-    SCALARS,
-    column_array,
-    flat_array,
-    numeric_columns,
-    rows_of_episode,
-)
+from dynahoi_lerobot.core.reading import ReadError, read_table
+from dynahoi_lerobot.dataset.columns import SCALARS, Table, column_array, flat_array
 
 FRAME_KEYS = ("episode_index", "frame_index")
 EPISODE_KEYS = ("episode_index",)
@@ -73,25 +67,13 @@ class Privileged:
         """Return the rows of an episode without their keys: of ``features``, the privileged ones
         count.
         """
-        own = (feature for feature in features if feature.privileged)
+        own = [feature for feature in features if feature.privileged]
         arrays = {f.key: np.asarray(getattr(episode, f.name), f.dtype) for f in own}
-        frames, row = schemas(features)
-        return cls(
-            pa.table(
-                {
-                    key: flat_array(arrays[key], frames.field(key).type)
-                    for key in frames.names
-                    if key not in FRAME_KEYS
-                }
-            ),
-            pa.table(
-                {
-                    key: _cell(arrays[key], row.field(key).type)
-                    for key in row.names
-                    if key not in EPISODE_KEYS
-                }
-            ),
-        )
+        frames = {f.key: flat_array(arrays[f.key], _row_type(f)) for f in own if f.per == "frame"}
+        row = {
+            f.key: pa.array([arrays[f.key].tolist()], _row_type(f)) for f in own if f.per != "frame"
+        }
+        return cls(pa.table(frames), pa.table(row))
 
     def placed(self, episode_index: int) -> Self:
         """Return the rows with the keys of an episode of this index."""
@@ -133,22 +115,18 @@ def cell_array(cell: Any, feature: Feature) -> np.ndarray:
     return np.array(cell, feature.dtype).reshape(shape)
 
 
-def _cell(values: np.ndarray, kind: pa.DataType) -> pa.Array:
-    """Return a column of one cell."""
-    if pa.types.is_list(kind):
-        return pa.ListArray.from_arrays([0, len(values)], flat_array(values, kind.value_type))
-    return flat_array(values, kind)
-
-
 def _with_columns(table: pa.Table, columns: dict[str, np.ndarray]) -> pa.Table:
-    """Return a table that begins with these columns, and then has its others."""
-    others = {name: table[name] for name in table.column_names if name not in columns}
-    return pa.table({name: pa.array(values) for name, values in columns.items()} | others)
+    """Return a table with these columns in place of its own, or beside them."""
+    own = {name: table[name] for name in table.column_names}
+    return pa.table(own | {name: pa.array(values) for name, values in columns.items()})
 
 
 class PrivilegedTables:
     """The privileged tables of a dataset on disk; one that another tool has edited may have none,
     or the tables of other episodes.
+
+    Attributes:
+        frames, episodes: both tables.
     """
 
     def __init__(self, root: Path, lengths: Callable[[], np.ndarray]) -> None:
@@ -157,24 +135,13 @@ class PrivilegedTables:
         """
         self._root = root
         self._lengths = lengths
-
-    def files(self) -> tuple[list[Path], list[Path]]:
-        """Return the files of the table of frames and of the table of episodes, in order."""
-        frames, episodes = (
-            sorted((self._root / folder).glob("*/*.parquet"))
-            for folder in ("meta/privileged", "meta/privileged_episodes")
-        )
-        return frames, episodes
+        self.frames = Table(root / "meta/privileged")
+        self.episodes = Table(root / "meta/privileged_episodes")
 
     @cached_property
     def features(self) -> list[Feature]:
         """The columns of both tables, in the order of the feature table."""
-        names = {
-            name
-            for files in self.files()
-            for path in files[:1]
-            for name in open_table(path).schema_arrow.names
-        }
+        names = self.frames.names() | self.episodes.names()
         return [feature for feature in privileged_features() if feature.key in names]
 
     def feature(self, key: str) -> Feature:
@@ -193,27 +160,25 @@ class PrivilegedTables:
         Raises:
             ReadError: if a file is damaged.
         """
-        frames, episodes = self.files()
-        if not (frames and episodes):
+        if not (self.frames.files and self.episodes.files):
             return f"{self._root} has no privileged tables: {DROPPED}"
-        number, frame = (keys[:, 0] for keys in numeric_columns(frames, FRAME_KEYS))
-        (index,) = (keys[:, 0] for keys in numeric_columns(episodes, EPISODE_KEYS))
+        number, frame = (keys[:, 0] for keys in self.frames.columns(FRAME_KEYS))
+        (index,) = (keys[:, 0] for keys in self.episodes.columns(EPISODE_KEYS))
         lengths = self._lengths()
-        if len(lengths) == len(index) and lengths.sum() == len(frame) and lengths.min() > 0:
-            first = np.repeat(np.cumsum(lengths) - lengths, lengths)
-            wanted = np.repeat(np.arange(len(lengths)), lengths)
-            if (
-                np.array_equal(index, np.arange(len(lengths)))
-                and np.array_equal(number, wanted)
-                and np.array_equal(frame, np.arange(len(frame)) - first)
-            ):
-                return ""
+        episode = np.repeat(np.arange(len(lengths)), lengths)  # of each frame
+        first = np.cumsum(lengths) - lengths
+        if (
+            np.array_equal(index, np.arange(len(lengths)))
+            and np.array_equal(number, episode)
+            and np.array_equal(frame, np.arange(len(episode)) - first[episode])
+        ):
+            return ""
         return f"{self._root} has the privileged tables of other episodes: {DROPPED}"
 
     def rows(self, feature: Feature) -> np.ndarray:
         """Return a column of the table of frames, (N, D); ReadError as ``problem`` says."""
         self._check()
-        (values,) = numeric_columns(self.files()[0], [feature.key])
+        (values,) = self.frames.columns([feature.key])
         return values.astype(feature.dtype, copy=False)
 
     def cells(self, feature: Feature) -> list[np.ndarray]:
@@ -221,42 +186,18 @@ class PrivilegedTables:
         says.
         """
         self._check()
-        tables = (read_table(path, [feature.key]) for path in self.files()[1])
+        tables = (read_table(path, [feature.key]) for path in self.episodes.files)
         return [
             cell_array(cell, feature) for table in tables for cell in table[feature.key].to_pylist()
         ]
 
-    def episode(self, index: int) -> Privileged:
-        """Return the rows of one episode; ReadError as ``problem`` says."""
+    def episode(self, index: int, first: int, stop: int) -> Privileged:
+        """Return the rows of an episode, whose frames are numbered ``first`` to ``stop``
+        (excluded); ReadError as ``problem`` says.
+        """
         self._check()
-        frames, row = (
-            pa.concat_tables(rows_of_episode(path, index) for path in files)
-            for files in self.files()
-        )
-        return Privileged(frames, row)
-
-    def episodes(self) -> Iterator[Privileged]:
-        """Yield the rows of each episode, reading files once; ReadError as ``problem`` says."""
-        self._check()
-        lengths = self._lengths()
-        frames, episodes = self.files()
-        parts = zip(
-            _in_turn(frames, lengths), _in_turn(episodes, np.ones_like(lengths)), strict=True
-        )
-        yield from (Privileged(*tables) for tables in parts)
+        return Privileged(self.frames.rows(first, stop), self.episodes.rows(index, index + 1))
 
     def _check(self) -> None:
         if self.problem:
             raise ReadError(self.problem)
-
-
-def _in_turn(files: Sequence[Path], counts: np.ndarray) -> Iterator[pa.Table]:
-    """Yield the next rows of a table of several files, so many at a time."""
-    rest = pa.table({})
-    remaining = iter(files)
-    for count in counts:
-        while len(rest) < count:
-            more = read_table(next(remaining))
-            rest = pa.concat_tables([rest, more]) if len(rest) else more
-        yield rest.slice(0, count).combine_chunks()
-        rest = rest.slice(count)

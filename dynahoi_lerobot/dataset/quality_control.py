@@ -1,8 +1,8 @@
 """Quality control: rules that reject corrupt trajectories (Appendix "Post-processing and quality
 control").
 
-Each rule looks at one episode and returns a sentence about what is wrong, or None. Generation draws
-a rejected episode again. No intact recording exceeds the bounds: "seen" is the greatest value in
+Each rule looks at one episode and tells whether it breaks it. Generation draws a rejected episode
+again. No intact recording exceeds the bounds: "seen" is the greatest value in
 560 recordings of both capture rules' experts, with every kind of motion, faster and held-out ones,
 and disturbances up to the 0.2 m that recipes allow.
 """
@@ -10,7 +10,7 @@ and disturbances up to the 0.2 m that recipes allow.
 import numpy as np
 
 from dynahoi_lerobot.core.control_mode import JOINTS
-from dynahoi_lerobot.core.conventions import CONTROL_DT, GANTRY_RANGE_M, HAND_DOF, PALM_DOF
+from dynahoi_lerobot.core.conventions import CONTROL_DT, GANTRY_RANGE_M, PALM_DOF
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import FEATURES
 from dynahoi_lerobot.core.numerics import runs
@@ -44,19 +44,18 @@ FROZEN_GAP_M = 0.005
 """... while the command is so far away from the palm."""
 
 
-def trajectory_problems(episode: Episode) -> list[str]:
-    """Return a sentence for each rule that the episode breaks; only the first if it holds NaN or
+def broken_rules(episode: Episode) -> list[str]:
+    """Return the names of the rules that the episode breaks; no other if it holds NaN or
     infinity.
     """
-    problem = not_finite(episode)
-    if problem:
-        return [problem]
-    rules = (out_of_limits, jumps, teleports, saturation, frozen, phase_order)
-    return list(filter(None, (rule(episode) for rule in rules)))
+    if not_finite(episode):
+        return ["not_finite"]
+    rules = (out_of_limits, jumps, teleports, saturated, frozen, phases_out_of_order)
+    return [rule.__name__ for rule in rules if rule(episode)]
 
 
 def not_finite(episode: Episode) -> str | None:
-    """Find NaN and infinity."""
+    """Say which array holds NaN or infinity, if one does."""
     for name, feature in FEATURES.items():
         value = getattr(episode, name)
         if value is not None and not np.isfinite(np.asarray(value, float)).all():
@@ -64,116 +63,70 @@ def not_finite(episode: Episode) -> str | None:
     return None
 
 
-def out_of_limits(episode: Episode) -> str | None:
-    """Find positions and angles that the hand cannot take."""
+def out_of_limits(episode: Episode) -> bool:
+    """Tell whether the hand is or should be where it cannot get to."""
+    hands = [episode.state, episode.given_action, episode.executed_action]
+    if episode.meta.control_mode == JOINTS:  # else a label is a displacement, no place
+        hands.append(episode.action)
+    palm, joints = np.split(np.concatenate(hands), [PALM_DOF], axis=1)
     low, high = _palm_range(episode)
     least, most = JOINT_RANGE_RAD
-    for name in ("state", "action", "given_action", "executed_action"):
-        if name == "action" and episode.meta.control_mode != JOINTS:  # a displacement, no place
-            continue
-        values = getattr(episode, name)
-        palm = values[:, :PALM_DOF]
-        joints = values[:, PALM_DOF:]
-        beyond = np.maximum(low - palm, palm - high)  # (T, 3), positive outside
-        frame, axis = np.unravel_index(int(beyond.argmax()), beyond.shape)
-        if beyond[frame, axis] > PALM_SLACK_M:
-            allowed = f"{low[axis]:.2f} to {high[axis]:.2f} m are possible"
-            return (
-                f"{name} has the palm at {palm[frame, axis]:.2f} m along axis {axis} at frame "
-                f"{frame}; {allowed}"
-            )
-        if joints.min() < least or joints.max() > most:
-            found = f"{float(joints.min()):.2f} to {float(joints.max()):.2f} rad"
-            return f"{name} has joint angles from {found}; {least} to {most} rad are possible"
-    return None
+    beyond = np.maximum(low - palm, palm - high)  # positive outside
+    return bool(beyond.max() > PALM_SLACK_M or joints.min() < least or joints.max() > most)
 
 
-def jumps(episode: Episode) -> str | None:
-    """Find steps of the hand that its servos cannot make within a frame."""
+def jumps(episode: Episode) -> bool:
+    """Tell whether the hand makes a step that its servos cannot make within a frame."""
     # imports MuJoCo, which reading a dataset does not need
     from dynahoi_lerobot.captures import CAPTURES
 
     control = CONTROL_CLASSES[episode.meta.control_class]
     palm_speed_m_s = CAPTURES[episode.meta.capture].palm_speed_m_s(control)
-    groups = (
-        (slice(0, PALM_DOF), CATCH_UP * palm_speed_m_s * CONTROL_DT, "m"),
-        (slice(PALM_DOF, HAND_DOF), OVERSHOOT * control.joint_speed_rad_s * CONTROL_DT, "rad"),
+    hands = np.stack([episode.state, episode.given_action, episode.executed_action])
+    steps = np.abs(np.diff(hands, axis=1)).max(axis=(0, 1), initial=0.0).astype(float)  # (18,)
+    return bool(
+        steps[:PALM_DOF].max() > CATCH_UP * palm_speed_m_s * CONTROL_DT
+        or steps[PALM_DOF:].max() > OVERSHOOT * control.joint_speed_rad_s * CONTROL_DT
     )
-    for name in ("state", "given_action", "executed_action"):
-        values = getattr(episode, name)
-        for part, allowed, unit in groups:
-            steps = np.abs(np.diff(values[:, part], axis=0)).max(axis=1, initial=0.0)  # (T - 1,)
-            worst = float(steps.max(initial=0.0))
-            if worst > allowed:
-                frame = int(steps.argmax()) + 1
-                return (
-                    f"{name} jumps by {worst:.2f} {unit} at frame {frame}; {allowed:.2f} "
-                    f"{unit} is possible"
-                )
-    return None
 
 
-def teleports(episode: Episode) -> str | None:
-    """Find steps of the target that neither its own velocity nor a palm that carries it
+def teleports(episode: Episode) -> bool:
+    """Tell whether the target makes a step that neither its own velocity nor a palm that carries it
     explains.
     """
     steps = np.linalg.norm(np.diff(episode.target_pose_h[:, :3], axis=0), axis=1)  # (T - 1,)
     carried = np.linalg.norm(np.diff(episode.palm_pos_h, axis=0), axis=1)
     speed = np.linalg.norm(episode.target_velocity_w[:, :3], axis=1)  # (T,)
-    allowed = np.maximum(np.maximum(speed[1:], speed[:-1]) * CONTROL_DT, carried) + TARGET_SLACK_M
-    if not (steps > allowed).any():
-        return None
-    frame = int((steps - allowed).argmax())
-    possible = f"with its velocity {allowed[frame]:.2f} m is possible"
-    return f"target_pose jumps by {steps[frame]:.2f} m at frame {frame + 1}; {possible}"
+    own = np.maximum(speed[1:], speed[:-1]) * CONTROL_DT
+    return bool((steps > np.maximum(own, carried) + TARGET_SLACK_M).any())
 
 
-def saturation(episode: Episode) -> str | None:
-    """Find catches whose labels have the palm at a limit of its slides; what was missed may well
-    lie beyond it.
+def saturated(episode: Episode) -> bool:
+    """Tell whether the labels of a catch have the palm at a limit of its slides; what was missed
+    may well lie beyond it.
     """
     palm = episode.action[is_acting(episode.phase), :PALM_DOF]
-    if not episode.success or not len(palm) or episode.action.shape[1] != HAND_DOF:
-        return None
+    if not episode.success or not len(palm) or episode.meta.control_mode != JOINTS:
+        return False
     low, high = _palm_range(episode)
-    share = ((palm < low + 1e-3) | (palm > high - 1e-3)).mean(axis=0)  # (3,)
-    if share.max() > PALM_SATURATED_SHARE:
-        return (
-            f"action[{int(share.argmax())}] is at its limit in {share.max():.0%} of the "
-            f"control phase"
-        )
-    return None
+    at_limit = (palm < low + 1e-3) | (palm > high - 1e-3)
+    return bool(at_limit.mean(axis=0).max() > PALM_SATURATED_SHARE)
 
 
-def frozen(episode: Episode) -> str | None:
-    """Find a measured state that stays the same to the last bit while it is commanded elsewhere."""
-    state = episode.state
-    command = episode.executed_action
-    still = (state[1:] == state[:-1]).all(axis=1)  # (T - 1,)
-    away = (
-        np.abs(command[:-1, :PALM_DOF] - state[:-1, :PALM_DOF]).max(axis=1, initial=0.0)
-        > FROZEN_GAP_M
-    )
-    begins = [start for start, end in runs(still & away) if end - start > FROZEN_FRAMES]
-    return (
-        f"state is frozen from frame {begins[0]} on while the hand is commanded to move"
-        if begins
-        else None
-    )
+def frozen(episode: Episode) -> bool:
+    """Tell whether the measured state stays the same to the last bit while it is commanded
+    elsewhere.
+    """
+    still = (np.diff(episode.state, axis=0) == 0).all(axis=1)  # (T - 1,)
+    way = episode.executed_action[:-1, :PALM_DOF] - episode.palm_pos_h[:-1]
+    away = np.abs(way).max(axis=1, initial=0.0) > FROZEN_GAP_M
+    return any(end - start > FROZEN_FRAMES for start, end in runs(still & away))
 
 
-def phase_order(episode: Episode) -> str | None:
-    """Find phases that are not one-hot, and episodes that observe again after they began to act."""
-    wrong = (episode.phase != one_hot_phase(np.maximum.accumulate(is_acting(episode.phase)))).any(
-        axis=1
-    )
-    if not wrong.any():
-        return None
-    frame = int(wrong.argmax())
-    return (
-        f"phase is not [1, 0] and then [0, 1]: it is {episode.phase[frame].tolist()} at frame "
-        f"{frame}"
-    )
+def phases_out_of_order(episode: Episode) -> bool:
+    """Tell whether phases are not one-hot, or the episode observes again after it began to act."""
+    acting = np.maximum.accumulate(is_acting(episode.phase))
+    return not np.array_equal(episode.phase, one_hot_phase(acting))
 
 
 def _palm_range(episode: Episode) -> np.ndarray:

@@ -19,23 +19,22 @@ from dynahoi_lerobot.core.reading import (
     open_table,
     read_object,
     read_rows,
-    read_table,
     reading,
     regular,
     require,
 )  # fmt: skip
 from dynahoi_lerobot.dataset.columns import (
     Features,
+    Table,
     column_array,
     content_values,
     image_keys,
-    numeric_columns,
     numeric_keys,
     read_png,
-    rows_of_episode,
     video_keys,
 )
 from dynahoi_lerobot.dataset.episode_table import (
+    FRAME_RANGE,
     STATS_PREFIX,
     EpisodeRow,
     own_values,
@@ -241,9 +240,25 @@ class Store:
             )
 
     @cached_property
+    def data(self) -> Table:
+        """The frame table; ValueError if there is none."""
+        return self._table("data", "frame table")
+
+    @cached_property
+    def episode_table(self) -> Table:
+        """The episode table; ValueError if there is none."""
+        return self._table("meta/episodes", "episode table")
+
+    def _table(self, folder: str, name: str) -> Table:
+        table = Table(self.root / folder)
+        if not table.files:
+            raise ValueError(f"{self.root} holds no {name}: there is no file in {folder}")
+        return table
+
+    @property
     def frame_count(self) -> int:
         """Number of rows of the frame table."""
-        return sum(open_table(path).metadata.num_rows for path in self.data_files())
+        return int(self.data.ends[-1])
 
     @property
     def features(self) -> Features:
@@ -281,7 +296,7 @@ class Store:
         Raises:
             ValueError: if a file of it is damaged, or there is none.
         """
-        rows = [row for path in self.row_files() for row in self._read_rows(path)]
+        rows = [row for path in self.episode_table.files for row in self._read_rows(path)]
         first = 0
         for index, row in enumerate(rows):
             stop = first + (row["length"] or 0)
@@ -310,34 +325,20 @@ class Store:
         """Number of episodes in the episode table."""
         return len(self.rows)
 
-    def row_files(self) -> list[Path]:
-        """Return the files of the episode table, in order; ValueError if there are none."""
-        return self._files("meta/episodes", "episode table")
-
     @property
     def lengths(self) -> np.ndarray:
         """Number of frames of each episode, (E,), as the episode table says: the frames need not be
         here, as where LeRobot fetches some episodes, or streams them.
         """
-        (lengths,) = numeric_columns(self.row_files(), ["length"])
+        (lengths,) = self.episode_table.columns(["length"])
         return lengths[:, 0]
-
-    def data_files(self) -> list[Path]:
-        """Return the files of the frame table, in order; ValueError if there are none."""
-        return self._files("data", "frame table")
-
-    def _files(self, folder: str, table: str) -> list[Path]:
-        paths = sorted((self.root / folder).glob("*/*.parquet"))
-        if not paths:
-            raise ValueError(f"{self.root} holds no {table}: there is no file in {folder}")
-        return paths
 
     def tables(self) -> list[Path]:
         """Return the files of all tables; ValueError if LeRobot has no episodes or frames to
         read.
         """
-        lerobots = [self.root / TASKS_PATH, *self.row_files(), *self.data_files()]
-        return lerobots + [path for files in self.privileged.files() for path in files]
+        tables = (self.episode_table, self.data, self.privileged.frames, self.privileged.episodes)
+        return [self.root / TASKS_PATH, *(path for table in tables for path in table.files)]
 
     @cached_property
     def privileged(self) -> PrivilegedTables:
@@ -352,7 +353,7 @@ class Store:
             ValueError: if a file is missing or damaged, or the frames lie in another order.
         """
         names = [*{"index", *keys}]
-        columns = dict(zip(names, numeric_columns(self.data_files(), names), strict=True))
+        columns = dict(zip(names, self.data.columns(names), strict=True))
         index = columns["index"]
         if not np.array_equal(index[:, 0], np.arange(len(index))):
             raise ValueError(f"{self.root} holds its frames in another order; see `dynahoi verify`")
@@ -360,7 +361,7 @@ class Store:
 
     def full_rows(self) -> Iterator[EpisodeRow]:
         """Yield the rows of the episode table with their statistics."""
-        for path in self.row_files():
+        for path in self.episode_table.files:
             yield from self._read_rows(path, statistics=True)
 
     def data_path(self, row: EpisodeRow) -> Path:
@@ -374,19 +375,16 @@ class Store:
         return self.root / VIDEO_PATH.format(video_key=key, **place)
 
     def frames(self, row: EpisodeRow) -> pa.Table:
-        """Return the episode's rows of the frame table; ValueError if their file is missing or
-        damaged.
+        """Return the episode's rows of the frame table; ReadError if they do not lie, all of them
+        and in order, in the file that the row names.
         """
-        return self._own(row, rows_of_episode(self.data_path(row), row["episode_index"]))
-
-    def _own(self, row: EpisodeRow, table: pa.Table) -> pa.Table:
-        """Return rows of the frame table that must be the frames of an episode, all of them and in
-        order.
-        """
+        first = row["dataset_from_index"]
+        stop = row["dataset_to_index"]
         path = self.data_path(row)
         with reading(path):
-            index = np.arange(row["dataset_from_index"], row["dataset_to_index"])
-            if not np.array_equal(column_array(table, "index")[:, 0], index):
+            table = self.data.rows(first, stop)
+            index = column_array(table, "index")[:, 0]
+            if path != self.data.file(first) or not np.array_equal(index, np.arange(first, stop)):
                 raise ReadError(
                     f"{path} does not hold the frames of episode {row['episode_index']} in their "
                     f"order"
@@ -422,8 +420,11 @@ class Store:
 
     def stored(self, index: int) -> StoredEpisode:
         """Return an episode as the tables hold it; IndexError if there is no such episode."""
-        row = self.row(index)
-        return StoredEpisode(row, self.frames(row), self.privileged.episode(index))
+        return self._stored(self.row(index))
+
+    def _stored(self, row: EpisodeRow) -> StoredEpisode:
+        place = (row[name] for name in ("episode_index", *FRAME_RANGE))
+        return StoredEpisode(row, self.frames(row), self.privileged.episode(*place))
 
     def as_episode(self, stored: StoredEpisode, *, images: bool) -> Episode:
         """Return the Episode that the tables hold, with its images or without."""
@@ -446,17 +447,5 @@ class Store:
         Raises:
             ValueError: if a file is missing or damaged.
         """
-        if not self.rows:  # which are checked
-            return
-        path = None
-        table = pa.table({})
-        used = 0
-        for row, privileged in zip(self.full_rows(), self.privileged.episodes(), strict=True):
-            holder = self.data_path(row)
-            if holder != path:
-                path = holder
-                table = read_table(holder)
-                used = 0
-            own = self._own(row, table.slice(used, row["length"]).combine_chunks())
-            yield StoredEpisode(row, own, privileged)
-            used += row["length"]
+        if self.rows:  # which are checked
+            yield from map(self._stored, self.full_rows())

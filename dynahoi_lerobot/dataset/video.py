@@ -67,12 +67,11 @@ class Encoding:
     def __post_init__(self) -> None:
         """Refuse what no encoder could do; ValueError naming the value and those allowed."""
         known("codec", self.codec, CODECS)
+        known("preset", self.preset, dict.fromkeys(PRESETS))
         if not 1 <= self.gop <= MAX_GOP:
             raise ValueError(f"gop is {self.gop}; it must be 1 to {MAX_GOP} frames")
         if not 0 <= self.crf <= MAX_CRF:
             raise ValueError(f"crf is {self.crf}; it must be 0 to {MAX_CRF}")
-        if self.preset not in PRESETS:
-            raise ValueError(f"preset is {self.preset!r}; h264 has {', '.join(PRESETS)}")
 
     @property
     def is_video(self) -> bool:

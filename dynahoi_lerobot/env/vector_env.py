@@ -150,10 +150,8 @@ class DynahoiVectorEnv(VectorEnv):
             )
         if max_episode_steps is not None and max_episode_steps < 1:
             raise ValueError(f"max_episode_steps must be at least 1, got {max_episode_steps}")
-        if render_mode is not None and render_mode not in RENDER_MODES:
-            raise ValueError(
-                f"unknown render mode {render_mode!r}; known: {', '.join(RENDER_MODES)}, or None"
-            )
+        if render_mode is not None:
+            known("render mode", render_mode, dict.fromkeys(RENDER_MODES))
         known("reward", reward, REWARDS)
         self.num_envs = num_envs
         self.render_mode = render_mode

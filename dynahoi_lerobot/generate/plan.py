@@ -5,12 +5,11 @@ Shards are fixed lists of seeds, each written beside its place, renamed when com
 before merging.
 """
 
-import json
 import logging
 import shutil
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +17,12 @@ from dynahoi_lerobot.core.arguments import CommandError
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import privileged_features
 from dynahoi_lerobot.core.files import new_folder
+from dynahoi_lerobot.core.nested import as_json
 from dynahoi_lerobot.core.reading import ReadError
 from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
 from dynahoi_lerobot.dataset.merge import merge_in_turn
 from dynahoi_lerobot.dataset.paths import FileLimits
-from dynahoi_lerobot.dataset.quality_control import trajectory_problems
+from dynahoi_lerobot.dataset.quality_control import broken_rules
 from dynahoi_lerobot.dataset.video import Encoding
 from dynahoi_lerobot.dataset.writer import DatasetWriter
 from dynahoi_lerobot.rollout.recording import Recording
@@ -113,7 +113,7 @@ class GenerationPlan:
 
     def identity(self) -> dict[str, Any]:
         """Return everything that decides the dataset's bytes, as JSON values."""
-        return json.loads(json.dumps(asdict(self) | {"recording": self.recording.stored()}))
+        return as_json(self) | {"recording": self.recording.stored()}
 
 
 @dataclass(frozen=True)
@@ -184,7 +184,7 @@ class ShardMaker:
                         f"the recorder gave an episode of seed {seed}, which was not asked for"
                     )
                 missed.remove(seed)
-                if trajectory_problems(episode):
+                if broken_rules(episode):
                     rejected.add(seed)
                     continue
                 writer.add(episode)

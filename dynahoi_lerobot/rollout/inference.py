@@ -16,6 +16,7 @@ import numpy as np
 
 from dynahoi_lerobot.core.agent import Agent, Observation
 from dynahoi_lerobot.core.conventions import frames_until
+from dynahoi_lerobot.core.registry import known
 
 SYNC = "sync"
 ASYNC = "async"
@@ -47,10 +48,7 @@ class Inference:
     latency_ms: float | None = 0.0
 
     def __post_init__(self) -> None:
-        if self.mode not in INFERENCE_MODES:
-            raise ValueError(
-                f"there is no inference mode {self.mode!r}; known are {', '.join(INFERENCE_MODES)}"
-            )
+        known("inference mode", self.mode, INFERENCE_MODES)
         if self.latency_ms is not None and not 0 <= self.latency_ms <= MAX_LATENCY_MS:
             raise ValueError(
                 f"the inference latency is {self.latency_ms} ms; it must be from 0 to "

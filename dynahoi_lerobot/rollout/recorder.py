@@ -2,7 +2,6 @@
 ends.
 """
 
-import functools
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Self
@@ -13,7 +12,7 @@ from dynahoi_lerobot.captures import CaptureRule, Track
 from dynahoi_lerobot.core.agent import Meeting, Observation
 from dynahoi_lerobot.core.conventions import CONTROL_DT, EGO_VIEW, PALM_DOF
 from dynahoi_lerobot.core.episode import Episode, EpisodeMeta
-from dynahoi_lerobot.core.features import FEATURES, Feature, frame_features
+from dynahoi_lerobot.core.features import FEATURES, Feature
 from dynahoi_lerobot.core.numerics import norm
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.motions import Motion
@@ -60,6 +59,8 @@ TOUCH_M = 0.005
 collection"."""
 TIP_FRAMES = "tip_frames"
 """Column from which the fingertips' poses and distances are computed once an episode has ended."""
+OBSERVED = [name for name, f in FEATURES.items() if f.observed and not f.derived]
+"""Columns that are recorded as policies see them, but for images, by name in ``Observation``."""
 CONTACTS = ("finger_force_n", "palm_force_n", "others")
 """Fields of ``TargetContacts``, which the capture rule judges; an episode keeps the fingers' forces
 as ``touch``."""
@@ -73,12 +74,8 @@ def measure_frame(
     """Return the arrays of worlds ``ids`` (n,) at this frame besides images, (n, ...) each, by name
     in ``Episode``, or for what `WorldRecorder` computes from them.
     """
-    columns = {
-        name: getattr(observation, name)[ids]
-        for name in _observed(contact_sensors=batch.rule.uses_contact_sensors)
-    }
-    if observation.sighting is not None:
-        columns["sighting"] = observation.sighting[ids]
+    seen = {name: getattr(observation, name) for name in OBSERVED}
+    columns = {name: values[ids] for name, values in seen.items() if values is not None}
     return columns | {
         TIP_FRAMES: batch.tip_frames(ids),
         "target_pose_h": batch.target_pose_h[ids],
@@ -88,13 +85,6 @@ def measure_frame(
         "visual_state": batch.visual_state[ids],
         **{name: getattr(batch.contacts, name)[ids] for name in CONTACTS},
     }
-
-
-@functools.cache
-def _observed(*, contact_sensors: bool) -> tuple[str, ...]:
-    """The columns that a policy may see, but for images, by name in ``Observation``."""
-    features = frame_features(0, contact_sensors=contact_sensors)
-    return tuple(feature.name for feature in features if feature.observed)
 
 
 @dataclass

@@ -72,7 +72,8 @@ def find_homes(
     start = timing.window_frames
     intercept = timing.intercept_frame
     meeting = paths_w[0][intercept]
-    homes = tried_homes(meeting, timing.travel_m, rng)
+    homes = meeting - timing.travel_m * draw_directions(rng)
+    homes = homes.astype(np.float32).astype(np.float64)  # as datasets store it
     homes = homes[_in_workspace(homes)]
     for path_w in paths_w:
         homes = homes[~_reachable_earlier(path_w[start:intercept], homes)]
@@ -81,12 +82,13 @@ def find_homes(
     return homes
 
 
-def tried_homes(meeting_w: np.ndarray, travel_m: float, rng: np.random.Generator) -> np.ndarray:
-    """Draw the (K, 3) positions [m], world, that ``find_homes`` tries, best first: ``travel_m`` [m]
-    away from where the target is met (3,) [m], world.
+def draw_directions(rng: np.random.Generator) -> np.ndarray:
+    """Draw (K, 3) unit vectors from the homes that ``find_homes`` tries to the intercept, world,
+    those nearest to one of them first.
     """
-    homes = meeting_w - travel_m * _draw_directions(rng)
-    return homes.astype(np.float32).astype(np.float64)  # as datasets store it
+    directions = rng.normal(size=(DIRECTIONS, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return directions[np.argsort(-product(directions, directions[0]), kind="stable")]
 
 
 def choose_home(
@@ -102,13 +104,6 @@ def choose_home(
     meeting = paths_w[0][timing.intercept_frame]
     fitting = (home for home in homes[clear] if keeps_clear(home[None], meeting, fixtures).all())
     return next(fitting, None)
-
-
-def _draw_directions(rng: np.random.Generator) -> np.ndarray:
-    """(K, 3) unit vectors from home to the intercept, world, those nearest to one of them first."""
-    directions = rng.normal(size=(DIRECTIONS, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    return directions[np.argsort(-product(directions, directions[0]), kind="stable")]
 
 
 def in_arena(path_w: np.ndarray) -> bool:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Any, Self
 
 from dynahoi_lerobot.core.arguments import option
-from dynahoi_lerobot.core.nested import as_json, changed, marked
+from dynahoi_lerobot.core.nested import as_json, changed, leaves
 from dynahoi_lerobot.core.protocols import PROTOCOLS
 from dynahoi_lerobot.core.registry import known
 from dynahoi_lerobot.motions import MOTIONS
@@ -142,6 +142,6 @@ class Recipe:
         )
 
 
-COMPARED = tuple(marked(Recipe, "compared"))
+COMPARED = tuple(entry.name for _, entry in leaves(Recipe) if "compared" in entry.metadata)
 """Fields of the recipe and its rules in which two evaluations must agree for their scores to be
 compared."""

@@ -5,9 +5,8 @@ the target.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -18,9 +17,9 @@ from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.motions import MOTIONS, Draw, Motion, PrescribedMotion, Retimed
 from dynahoi_lerobot.motions.launch import Box
 from dynahoi_lerobot.objects import OBJECTS, TargetObject
-from dynahoi_lerobot.sampling.accepted import begin_at, checksum_of, entries_of
+from dynahoi_lerobot.sampling.accepted import accepted_attempts
 from dynahoi_lerobot.sampling.fingerprint import recipe_code
-from dynahoi_lerobot.sampling.homes import choose_home, find_homes, in_arena, tried_homes
+from dynahoi_lerobot.sampling.homes import choose_home, draw_directions, find_homes, in_arena
 from dynahoi_lerobot.sampling.randomization import randomize_appearance
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.salt import salt_words, stream_label
@@ -59,7 +58,11 @@ def sample_specs(recipe: Recipe, seeds: Sequence[int], *, threads: int = 1) -> l
         ValueError: for a negative seed, or if no motion ever fits (the message names motion and
             seed).
     """
-    specs = _known_specs(recipe, seeds, threads)
+    attempts = accepted_attempts(recipe)
+    known = {i: Candidate(recipe, seed) for i, seed in enumerate(seeds) if seed in attempts}
+    for candidate in known.values():
+        candidate.skip(attempts[candidate.seed] - 1)
+    specs = _attempt(RollAhead(recipe.rules.hand_name, threads), known)
     others = [i for i in range(len(seeds)) if i not in specs]
     found = search(recipe, [seeds[i] for i in others], threads=threads)
     specs |= {i: spec for i, (_, spec) in zip(others, found, strict=True)}
@@ -69,18 +72,15 @@ def sample_specs(recipe: Recipe, seeds: Sequence[int], *, threads: int = 1) -> l
 def search(
     recipe: Recipe, seeds: Sequence[int], *, threads: int = 1
 ) -> list[tuple[Candidate, EpisodeSpec]]:
-    """Return what ``sample_specs`` returns, with the candidates that were accepted, drawn from
-    the beginning also where `accepted` knows the end.
+    """Return what ``sample_specs`` returns, with the candidates that were accepted, each tried from
+    the first attempt on.
 
     Arguments and errors are those of ``sample_specs``.
     """
     pending = {i: Candidate(recipe, seed) for i, seed in enumerate(seeds)}
     ahead = RollAhead(recipe.rules.hand_name, threads)
     found: dict[int, tuple[Candidate, EpisodeSpec]] = {}
-    for attempt in range(MAX_ATTEMPTS):
-        if attempt % ATTEMPTS_PER_TIMING == 0:
-            for candidate in pending.values():
-                candidate.draw_timing()
+    for _ in range(MAX_ATTEMPTS):
         specs = _attempt(ahead, pending)
         found |= {i: (pending.pop(i), spec) for i, spec in specs.items()}
         if not pending:
@@ -104,15 +104,14 @@ class Candidate:
         recipe, seed: they determine the episode.
         kind: its kind of motion; kinds take turns with the seed.
         rng: the episode's random numbers.
-        timing: frames and travel last drawn.
-        start: state of ``rng`` before motion and object were last drawn.
-        motions, target: motion and object last drawn; unset before the first ``draw_motion``. One
-            motion for each of the recipe's path speeds: what is accepted or refused is an episode
-            with all its twins.
+        attempts: how often motion and object have been drawn.
+        timing, motions, target: what was last drawn; unset before the first ``draw``. One motion
+            for each of the recipe's path speeds: what is accepted or refused is an episode with all
+            its twins.
     """
 
+    attempts = 0
     timing: Timing
-    start: Mapping[str, Any]
     motions: list[Motion]
     target: TargetObject
 
@@ -132,21 +131,16 @@ class Candidate:
         stream = zlib.crc32(recipe.split_definition.stream.encode())
         self.rng = np.random.default_rng([stream, seed, *salt_words(recipe.salt)])
 
-    def draw_timing(self) -> None:
-        """Draw duration and travel, and leave the capture rule the frames it needs after the
-        intercept.
-        """
-        timing = draw_timing(self.kind.name, self.recipe.rules.protocol, self.rng)
-        shortest = timing.intercept_frame + 1 + self.recipe.rules.capture_rule.hold_frames
-        self.timing = replace(timing, length_frames=max(timing.length_frames, shortest))
-
-    def draw_motion(self) -> bool:
-        """Draw object and motion; tell whether enough of the motion would be observed.
+    def draw(self) -> bool:
+        """Draw object and motion, and in every ``ATTEMPTS_PER_TIMING``-th attempt the timing; tell
+        whether enough of the motion would be observed.
 
         Raises:
             ValueError: if none of the recipe's objects can move this way.
         """
-        self.start = self.rng.bit_generator.state
+        if self.attempts % ATTEMPTS_PER_TIMING == 0:
+            self.timing = self._draw_timing()
+        self.attempts += 1
         self.target = self._draw_target()
         split = self.recipe.split_definition
         window_s = self.timing.window_frames * CONTROL_DT
@@ -168,10 +162,24 @@ class Candidate:
             ]
         return motion.launch(self.target).release_s <= max(0.0, window_s - MIN_OBSERVED_S)
 
+    def skip(self, attempts: int) -> None:
+        """Draw what is drawn in attempts that do not fit."""
+        for _ in range(attempts):
+            if self.draw():
+                draw_directions(self.rng)
+
     @property
     def fixtures(self) -> tuple[Box, ...]:
         """The static boxes around the motion last drawn."""
         return self.motions[0].launch(self.target).boxes
+
+    def _draw_timing(self) -> Timing:
+        """Draw duration and travel, and leave the capture rule the frames it needs after the
+        intercept.
+        """
+        timing = draw_timing(self.kind.name, self.recipe.rules.protocol, self.rng)
+        shortest = timing.intercept_frame + 1 + self.recipe.rules.capture_rule.hold_frames
+        return replace(timing, length_frames=max(timing.length_frames, shortest))
 
     def _draw_target(self) -> TargetObject:
         allowed = [name for name in self.recipe.object_names if self.kind.suits(OBJECTS[name])]
@@ -227,58 +235,11 @@ class Candidate:
         return with_screen(spec) if PROTOCOLS[self.recipe.rules.protocol].has_screen else spec
 
 
-def _known_specs(recipe: Recipe, seeds: Sequence[int], threads: int) -> dict[int, EpisodeSpec]:
-    """Return those episodes that `accepted` knows, by their place in ``seeds``."""
-    entries = entries_of(recipe)
-    places = [i for i, seed in enumerate(seeds) if seed in entries]
-    known = [(seeds[i], entries[seeds[i]]) for i in places]
-    specs = {}
-    for i, (candidate, paths_w, homes) in zip(
-        places, resume(recipe, known, threads=threads), strict=True
-    ):
-        entry = entries[candidate.seed]
-        home_pos_w = homes[entry["home"]]
-        if checksum_of(paths_w, home_pos_w, candidate.target) == entry["checksum"]:
-            spec = candidate.accept(paths_w, home_pos_w)
-            if spec is not None:
-                specs[i] = spec
-    return specs
-
-
-def resume(
-    recipe: Recipe, known: Sequence[tuple[int, np.void]], *, threads: int = 1
-) -> list[tuple[Candidate, list[np.ndarray], np.ndarray]]:
-    """Repeat the accepted draws alone.
-
-    Args:
-        recipe: what to draw from.
-        known: pairs of a seed and its entry.
-        threads: for rolling targets ahead; the result does not depend on it.
-
-    Returns:
-        For each seed the candidate; the (F, 3) paths [m], world, of its motions; and the (K, 3)
-        homes that are tried for them [m], world.
-    """
-    candidates = [Candidate(recipe, seed) for seed, _ in known]
-    for candidate, (_, entry) in zip(candidates, known, strict=True):
-        candidate.timing = begin_at(entry, candidate.rng)
-        candidate.draw_motion()
-    ahead = RollAhead(recipe.rules.hand_name, threads)
-    ahead.place(dict(enumerate(candidates)))
-    paths_w = ahead.paths({i: c.timing.path_frames for i, c in enumerate(candidates)})
-    resumed = []
-    for i, candidate in enumerate(candidates):
-        meeting_w = paths_w[i][0][candidate.timing.intercept_frame]
-        homes = tried_homes(meeting_w, candidate.timing.travel_m, candidate.rng)
-        resumed.append((candidate, paths_w[i], homes))
-    return resumed
-
-
 def _attempt(ahead: RollAhead, pending: dict[int, Candidate]) -> dict[int, EpisodeSpec]:
     """Draw a motion for every pending candidate, roll all targets ahead together; return the
     episodes that fit.
     """
-    drawn = {i: candidate for i, candidate in pending.items() if candidate.draw_motion()}
+    drawn = {i: candidate for i, candidate in pending.items() if candidate.draw()}
     ahead.place(drawn)
     near = ahead.paths({i: c.timing.intercept_frame + 1 for i, c in drawn.items()})
     homes = {i: find_homes(near[i], c.timing, c.rng) for i, c in drawn.items()}

@@ -9,7 +9,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from dynahoi_lerobot.core.reading import ReadError, open_table, read_object, read_table
+from dynahoi_lerobot.core.reading import ReadError, read_object, read_table
 from dynahoi_lerobot.dataset.episode_table import FACTS
 from dynahoi_lerobot.dataset.manifest import Manifest, changed_files, structure_problems
 from dynahoi_lerobot.dataset.paths import MANIFEST_PATH, STATS_PATH, check_root
@@ -69,9 +69,9 @@ def edited(store: Store, manifest: Manifest | None) -> str | None:
 
 def _gone(store: Store) -> str:
     """Say what another tool has dropped beside the manifest."""
-    held = {name for path in store.row_files() for name in open_table(path).schema_arrow.names}
+    held = store.episode_table.names()
     lost = [name for name in FACTS if name not in held]
-    has_privileged = any(store.privileged.files())
+    has_privileged = bool(store.privileged.features)
     gone = [MANIFEST_PATH]
     if not has_privileged:
         gone.append("the privileged tables")

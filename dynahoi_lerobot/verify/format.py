@@ -13,7 +13,6 @@ from dynahoi_lerobot.dataset.columns import (
     BOOKKEEPING,
     arrow_schema,
     bookkeeping_arrays,
-    numeric_columns,
     numeric_keys,
 )
 from dynahoi_lerobot.dataset.episode_table import EpisodeRow
@@ -101,7 +100,7 @@ def _places(store: Store) -> Iterator[str]:
 
 def _bookkeeping(store: Store) -> Iterator[str]:
     """Yield frames whose numbers, times or instruction are not their episode's."""
-    arrays = numeric_columns(store.data_files(), list(BOOKKEEPING))
+    arrays = store.data.columns(list(BOOKKEEPING))
     columns = {key: values[:, 0] for key, values in zip(BOOKKEEPING, arrays, strict=True)}
     numbers = {task: number for number, task in enumerate(store.tasks)}
     for row in store.rows:
@@ -179,7 +178,7 @@ def column_problems(store: Store) -> Iterator[str]:
     ``info.json`` describes.
     """
     described = arrow_schema(store.features)
-    for path in store.data_files():
+    for path in store.data.files:
         found = open_table(path).schema_arrow
         if not found.equals(described) or found.metadata != described.metadata:
             names = ", ".join(found.names)

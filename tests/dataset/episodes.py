@@ -35,12 +35,16 @@ def write(
     root: Path, seeds: range | list[int], image_size: int = 32, views: Sequence[str] = (), **options
 ) -> Path:
     """Write the varied episodes of ``seeds`` as a dataset; ``options`` go to ``DatasetWriter``."""
-    episodes = [varied_episode(seed, image_size, views) for seed in seeds]
+    written(root, [varied_episode(seed, image_size, views) for seed in seeds], **options).finish()
+    return root
+
+
+def written(root: Path, episodes: Sequence[Episode], **options) -> DatasetWriter:
+    """Return the writer of a dataset that has all of its episodes and is not finished."""
     writer = DatasetWriter(root, dataset_features(episodes[0]), **options)
     for episode in episodes:
         writer.add(episode)
-    writer.finish()
-    return root
+    return writer
 
 
 def sign(root: Path) -> None:
@@ -54,9 +58,7 @@ def rewrite(root: Path, episodes: list[Episode], encoding: Encoding | None = Non
     """
     manifest = Manifest.read(root)
     shutil.rmtree(root)
-    writer = DatasetWriter(root, dataset_features(episodes[0]), encoding)
-    for episode in episodes:
-        writer.add(episode)
+    writer = written(root, episodes, encoding=encoding)
     writer.finish(manifest.provenance, manifest.yields)
 
 

@@ -49,7 +49,8 @@ def test_an_episode_is_found_in_any_of_several_files(tmp_path: Path):
     limits = FileLimits(data_mb=0.05, chunk_files=1)
     root = write(tmp_path / "d", range(300), image_size=0, limits=limits)
     store = Store(root)
-    assert min(len(files) for files in store.privileged.files()) > 1
+    privileged = (store.privileged.frames, store.privileged.episodes)
+    assert min(len(table.files) for table in privileged) > 1
     for index, read in enumerate(read_episodes(root)):
         np.testing.assert_array_equal(read.target_pose_h, varied_episode(index, 0).target_pose_h)
     for index in (0, 255, 256, 299):

@@ -91,7 +91,7 @@ def test_files_roll_over_at_their_limits(tmp_path):
     layout = FileLimits(data_mb=0.005, video_mb=0.003, chunk_files=2)
     root = write(tmp_path / "d", range(8), limits=layout)
     store = Store(root)
-    assert len(store.data_files()) > 2
+    assert len(store.data.files) > 2
     assert {row["data/chunk_index"] for row in store.rows} > {0}
     assert len({store.video_path(row, CAMERA_KEY) for row in store.rows}) > 2
     for seed, episode in enumerate(read_episodes(root)):

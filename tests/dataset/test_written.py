@@ -15,10 +15,9 @@ from hypothesis import strategies as st
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import CAMERA_KEY
 from dynahoi_lerobot.core.nested import changed
-from dynahoi_lerobot.dataset.columns import dataset_features
 from dynahoi_lerobot.dataset.paths import FileLimits
 from dynahoi_lerobot.dataset.video import Encoding, stored_packets
-from dynahoi_lerobot.dataset.writer import DatasetWriter
+from tests.dataset.episodes import written
 from tests.synthetic import synthetic_episode
 
 SHARES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
@@ -49,10 +48,7 @@ def test_what_is_written_about_episodes_is_what_their_frames_give(
     with TemporaryDirectory() as folder:
         root = Path(folder) / "d"
         limits = FileLimits(data_mb=data_mb, video_s=video_s)
-        writer = DatasetWriter(root, dataset_features(episodes[0]), Encoding(codec), limits)
-        for episode in episodes:
-            writer.add(episode)
-        manifest = writer.finish()
+        manifest = written(root, episodes, encoding=Encoding(codec), limits=limits).finish()
         assert manifest.episodes == len(episodes)
         assert manifest.frames == sum(map(len, episodes))
         assert manifest.seeds == list(range(len(episodes)))

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, make_dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, get_type_hints
+from typing import Any
 
 import gymnasium as gym
 from lerobot.configs import FeatureType, PolicyFeature
@@ -14,7 +14,7 @@ from lerobot.utils.constants import OBS_ENV_STATE
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ
 from dynahoi_lerobot.core.features import TRUTH, Feature
-from dynahoi_lerobot.core.nested import changed, field_names
+from dynahoi_lerobot.core.nested import changed, leaves
 from dynahoi_lerobot.core.registry import known
 from dynahoi_lerobot.env.vector_env import REWARDS, SPARSE
 from dynahoi_lerobot.evaluate.results import RunInfo
@@ -25,11 +25,19 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 from lerobot_env_dynahoi.command_line import Launch, read_launch
 from lerobot_env_dynahoi.task_env import ResultsLog, TaskEnv
 
-HINTS = get_type_hints(Recipe) | get_type_hints(Rules)
-OFFERED = [name for name in field_names(Recipe) if name != "motions"]
-"""Fields of recipe and rules that are options here, too; ``task`` names the motions."""
+OFFERED: dict[str, Any] = {
+    entry.name: entry.type for _, entry in leaves(Recipe) if entry.name != "motions"
+}
+"""Types of the fields of recipe and rules that are options here, too; ``task`` names the
+motions."""
+NEEDED = {
+    "max_parallel_tasks": (1, "because LeRobot's parallel tasks share one policy and its memory"),
+    "fps": (CONTROL_HZ, "the rate of the simulation's commands and frames"),
+    "disable_env_checker": (True, "because Gymnasium checks no vector environment"),
+}
+"""Options of LeRobot's with one value, and why."""
 RecipeFields = make_dataclass(
-    "RecipeFields", [(name, HINTS[name] | None, field(default=None)) for name in OFFERED]
+    "RecipeFields", [(name, hint | None, field(default=None)) for name, hint in OFFERED.items()]
 )
 """These fields, None where nothing is said."""
 
@@ -75,15 +83,10 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
             ValueError: for an unknown name, naming the ones there are, for more than one task at a
                 time, or for an option of LeRobot's that has no effect here.
         """
-        if self.max_parallel_tasks != 1:
-            told = "must be 1, because LeRobot's parallel tasks share one policy and its memory"
-            raise ValueError(f"env.max_parallel_tasks {told}, got {self.max_parallel_tasks}")
-        if self.fps != CONTROL_HZ:
-            told = f"must be {CONTROL_HZ}, the rate of the simulation's commands and frames"
-            raise ValueError(f"env.fps {told}, got {self.fps}")
-        if not self.disable_env_checker:
-            told = "must be true, because Gymnasium checks no vector environment"
-            raise ValueError(f"env.disable_env_checker {told}, got false")
+        for name, (needed, reason) in NEEDED.items():
+            if getattr(self, name) != needed:
+                told = f"must be {str(needed).lower()}, {reason}"
+                raise ValueError(f"env.{name} {told}, got {str(getattr(self, name)).lower()}")
         timing = Inference(self.inference, self.latency_ms)
         if self.n_action_steps and timing.mode == SYNC:
             told = "is read with env.inference=async alone; leave it out"
