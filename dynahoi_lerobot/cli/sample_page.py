@@ -5,7 +5,6 @@ hold frame by frame.
 import io
 import json
 import shlex
-from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
@@ -55,14 +54,12 @@ def stratified(kinds: list[str], per_kind: int) -> list[int]:
     """Return up to ``per_kind`` indices of each kind, spread evenly over its indices; kinds in
     alphabetical order.
     """
-    found = defaultdict(list)
-    for index, kind in enumerate(kinds):
-        found[kind].append(index)
-    spread = {
-        kind: np.linspace(0, len(known) - 1, min(per_kind, len(known)))
-        for kind, known in found.items()
-    }
-    return [found[kind][round(place)] for kind in sorted(found) for place in spread[kind]]
+    chosen = []
+    for kind in sorted(set(kinds)):
+        own = [index for index, other in enumerate(kinds) if other == kind]
+        places = np.linspace(0, len(own) - 1, min(per_kind, len(own)))
+        chosen += [own[round(place)] for place in places]
+    return chosen
 
 
 def read_episode(store: Store, index: int, key: str) -> tuple[EpisodeRow, pa.Table, np.ndarray]:
