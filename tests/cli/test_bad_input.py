@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from dynahoi_lerobot.cli import main as cli
+from tests.tools import dynahoi
 from tests.verify.test_forgeries import DATA, column
 
 GENERATE = "generate --root made --episodes 1 --motions constant"
@@ -66,16 +66,15 @@ episodes."""
 
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_one_sentence_names_what_was_received_and_what_is_allowed(
-    case, dataset, tmp_path, capsys, monkeypatch
+    case, dataset, tmp_path, monkeypatch
 ):
     words, sentence = case
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("OPENAI_API_KEY", "secret")
     (tmp_path / "recipe.yaml").write_text("motions: lob\n")
-    assert cli.main(shlex.split(words.replace("DATASET", str(dataset)))) == cli.BAD_INPUT
-    said = capsys.readouterr().err.strip()
+    said = dynahoi(*shlex.split(words.replace("DATASET", str(dataset))), code=2).err
     assert sentence in said
-    assert "\n" not in said
+    assert said.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["recipe.yaml"]
 
 
@@ -88,21 +87,20 @@ DAMAGES: list[tuple[Callable[[Path], object], str]] = [
 
 @pytest.mark.parametrize(("damage", "sentence"), DAMAGES)
 def test_filter_names_the_damaged_file(
-    damage: Callable, sentence: str, dataset: Path, tmp_path: Path, capsys
+    damage: Callable, sentence: str, dataset: Path, tmp_path: Path
 ):
     broken = shutil.copytree(dataset, tmp_path / "broken")
     damage(broken)
-    assert cli.main(["filter", str(broken), "--out", str(tmp_path / "out")]) == cli.BAD_INPUT
-    said = capsys.readouterr().err.strip()
+    said = dynahoi("filter", broken, "--out", tmp_path / "out", code=2).err
     assert sentence in said
     assert str(broken) in said
-    assert "\n" not in said
+    assert said.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["broken"]
 
 
 def test_a_tilde_is_the_home_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    assert cli.main(["view", "--motion", "lob", "--image-size", "16", "--out=~/clips/lob.gif"]) == 0
+    dynahoi("view", "--motion", "lob", "--image-size", 16, "--out=~/clips/lob.gif")
     assert [path.name for path in (tmp_path / "home" / "clips").iterdir()] == ["lob.gif"]
     assert not (tmp_path / "~").exists()

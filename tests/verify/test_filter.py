@@ -8,13 +8,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.dataset import open_dataset, write_episodes
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.verify.command import verify
 from dynahoi_lerobot.verify.filter import find_outliers
 from tests.dataset.episodes import changed, varied_episode, write
+from tests.tools import dynahoi
 from tests.verify.test_forgeries import DATA, ROWS, TRUTH
 
 SENTENCE = "episode 7: action.thumb_tip.pos reaches 2.200, outside -0.500 to 1.500 in 1 frame"
@@ -30,17 +30,13 @@ def with_outlier(tmp_path_factory) -> Path:
     return root
 
 
-def run(*words: object) -> int:
-    return main(["filter", *map(str, words)])
-
-
 def test_outliers_are_named(with_outlier):
     assert find_outliers(with_outlier, margin=0.5) == {7: SENTENCE}
     assert find_outliers(with_outlier, margin=2.0) == {}
     assert find_outliers(with_outlier, margin=0.5, column="observation.state") == {}
 
 
-def test_nan_is_an_outlier_but_a_column_that_is_often_nan_has_no_range(tmp_path, capsys):
+def test_nan_is_an_outlier_but_a_column_that_is_often_nan_has_no_range(tmp_path):
     first, second, *others = (varied_episode(seed, None) for seed in range(6))
     second = changed("action", (4, 2), np.nan)(second)
     write_episodes(tmp_path / "many", [first, second, *others])
@@ -48,14 +44,14 @@ def test_nan_is_an_outlier_but_a_column_that_is_often_nan_has_no_range(tmp_path,
     assert episode == 1
     assert "action.palm_z.pos reaches nan" in sentence
     write_episodes(tmp_path / "few", [first, second])
-    assert run(tmp_path / "few", "--dry-run") == 2
-    assert "action is often not finite" in capsys.readouterr().err
+    said = dynahoi("filter", tmp_path / "few", "--dry-run", code=2).err
+    assert "action is often not finite" in said
 
 
-def test_all_others_are_copied_and_lerobot_reads_them(with_outlier, tmp_path, capsys):
+def test_all_others_are_copied_and_lerobot_reads_them(with_outlier, tmp_path):
     before = hash_files(with_outlier)
-    assert run(with_outlier, "--out", tmp_path / "new", "--margin", 0.5) == 0
-    assert SENTENCE in capsys.readouterr().out
+    words = ["filter", with_outlier, "--out", tmp_path / "new", "--margin", 0.5]
+    assert SENTENCE in dynahoi(*words).out
     kept = [seed for seed in range(12) if seed != 7]
     opened = open_dataset(tmp_path / "new")
     assert opened.meta.episodes["seed"] == kept
@@ -70,14 +66,14 @@ def test_all_others_are_copied_and_lerobot_reads_them(with_outlier, tmp_path, ca
     assert hash_files(with_outlier) == before
 
 
-def test_a_dry_run_names_them_and_writes_nothing(with_outlier, tmp_path, capsys):
-    assert run(with_outlier, "--margin", 0.5, "--dry-run", "--out", tmp_path / "new") == 0
-    assert SENTENCE in capsys.readouterr().out
+def test_a_dry_run_names_them_and_writes_nothing(with_outlier, tmp_path):
+    words = ["filter", with_outlier, "--margin", 0.5, "--dry-run", "--out", tmp_path / "new"]
+    assert SENTENCE in dynahoi(*words).out
     assert not any(tmp_path.iterdir())
 
 
 def test_named_episodes_are_left_out(with_outlier, tmp_path):
-    assert run(with_outlier, "--out", tmp_path / "new", "--drop", "0,3") == 0
+    dynahoi("filter", with_outlier, "--out", tmp_path / "new", "--drop", "0,3")
     assert [row["seed"] for row in Store(tmp_path / "new").rows] == [1, 2, *range(4, 12)]
 
 
@@ -91,13 +87,13 @@ COLUMNS = [
 
 
 @pytest.mark.parametrize(("path", "change", "sentence"), COLUMNS)
-def test_columns_of_other_types_are_named(path, change, sentence, tmp_path, capsys):
+def test_columns_of_other_types_are_named(path, change, sentence, tmp_path):
     root = write(tmp_path / "d", range(2), image_size=0)
     held = pq.read_table(root / path)
     columns = {name: held[name] for name in held.schema.names}
     for name, values in change.items():
         columns[name] = pa.array(list(islice(cycle(values), len(held))))
     pq.write_table(pa.table(columns), root / path)
-    assert run(root, "--out", tmp_path / "new", "--drop", "0") == 2
-    assert sentence in capsys.readouterr().err
+    said = dynahoi("filter", root, "--out", tmp_path / "new", "--drop", "0", code=2).err
+    assert sentence in said
     assert not (tmp_path / "new").exists()
