@@ -3,14 +3,11 @@ nothing is left.
 """
 
 import shlex
-import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from tests.tools import dynahoi
-from tests.verify.test_forgeries import DATA, column
 
 GENERATE = "generate --root made --episodes 1 --motions constant"
 CASES = [
@@ -76,26 +73,6 @@ def test_one_sentence_names_what_was_received_and_what_is_allowed(
     assert sentence in said
     assert said.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["recipe.yaml"]
-
-
-DAMAGES: list[tuple[Callable[[Path], object], str]] = [
-    (lambda root: (root / "meta/manifest.json").unlink(), "meta/manifest.json is missing"),
-    (lambda root: shutil.rmtree(root / "data"), "there is no file in data"),
-    (column(DATA, "index", lambda numbers: numbers[::-1]), "holds its frames in another order"),
-]
-
-
-@pytest.mark.parametrize(("damage", "sentence"), DAMAGES)
-def test_filter_names_the_damaged_file(
-    damage: Callable, sentence: str, dataset: Path, tmp_path: Path
-):
-    broken = shutil.copytree(dataset, tmp_path / "broken")
-    damage(broken)
-    said = dynahoi("filter", broken, "--out", tmp_path / "out", code=2).err
-    assert sentence in said
-    assert str(broken) in said
-    assert said.count("\n") == 1
-    assert [path.name for path in tmp_path.iterdir()] == ["broken"]
 
 
 def test_a_tilde_is_the_home_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -1,11 +1,11 @@
 """``dynahoi filter`` copies all episodes but outliers and those it is told to leave out."""
 
+import shutil
 from itertools import cycle, islice
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
 from dynahoi_lerobot.dataset import open_dataset, write_episodes
@@ -13,9 +13,9 @@ from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.verify.command import verify
 from dynahoi_lerobot.verify.filter import find_outliers
-from tests.dataset.episodes import changed, varied_episode, write
+from tests.dataset.episodes import changed, varied_episode
 from tests.tools import dynahoi
-from tests.verify.test_forgeries import DATA, ROWS, TRUTH
+from tests.verify.test_forgeries import DATA, ROWS, TRUTH, Forgery, column, table
 
 SENTENCE = "episode 7: action.thumb_tip.pos reaches 2.200, outside -0.500 to 1.500 in 1 frame"
 
@@ -77,23 +77,33 @@ def test_named_episodes_are_left_out(with_outlier, tmp_path):
     assert [row["seed"] for row in Store(tmp_path / "new").rows] == [1, 2, *range(4, 12)]
 
 
-COLUMNS = [
-    (ROWS, {"tasks": [0.5]}, "its column tasks is of type double; it must be list<"),
-    (ROWS, {"benchmark": [None]}, "benchmark must be a valid string, got None"),
-    (TRUTH, {"frame_index": [0]}, "privileged tables of other episodes"),
-    (DATA, {"action": [[0.0] * 17, [0.0] * 18]}, "its column action is of"),
+def retyped(path: str, key: str, values: list) -> Forgery:
+    """Return a function that fills a column of a table with values of any type, over and over."""
+
+    def change(found: pa.Table) -> pa.Table:
+        column = pa.array(islice(cycle(values), len(found)))
+        return found.set_column(found.schema.get_field_index(key), key, column)
+
+    return table(path, change)
+
+
+DAMAGES: list[tuple[Forgery, str]] = [
+    (lambda root: (root / "meta/manifest.json").unlink(), "meta/manifest.json is missing"),
+    (lambda root: shutil.rmtree(root / "data"), "there is no file in data"),
+    (column(DATA, "index", lambda numbers: numbers[::-1]), "holds its frames in another order"),
+    (retyped(ROWS, "tasks", [0.5]), "its column tasks is of type double; it must be list<"),
+    (retyped(ROWS, "benchmark", [None]), "benchmark must be a valid string, got None"),
+    (retyped(TRUTH, "frame_index", [0]), "privileged tables of other episodes"),
+    (retyped(DATA, "action", [[0.0] * 17, [0.0] * 18]), "its column action is of"),
 ]
-"""A table, values of a column, over and over, and what is said."""
 
 
-@pytest.mark.parametrize(("path", "change", "sentence"), COLUMNS)
-def test_columns_of_other_types_are_named(path, change, sentence, tmp_path):
-    root = write(tmp_path / "d", range(2), image_size=0)
-    held = pq.read_table(root / path)
-    columns = {name: held[name] for name in held.schema.names}
-    for name, values in change.items():
-        columns[name] = pa.array(list(islice(cycle(values), len(held))))
-    pq.write_table(pa.table(columns), root / path)
-    said = dynahoi("filter", root, "--out", tmp_path / "new", "--drop", "0", code=2).err
+@pytest.mark.parametrize(("damage", "sentence"), DAMAGES)
+def test_the_damaged_file_is_named(damage: Forgery, sentence: str, dataset: Path, tmp_path: Path):
+    broken = shutil.copytree(dataset, tmp_path / "broken")
+    damage(broken)
+    said = dynahoi("filter", broken, "--out", tmp_path / "out", code=2).err
     assert sentence in said
-    assert not (tmp_path / "new").exists()
+    assert str(broken) in said
+    assert said.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["broken"]
