@@ -111,7 +111,7 @@ def _page(frame: np.ndarray, phase: str | None, caption: str, scale: int) -> np.
     """
     page = cv2.resize(frame, None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST)
     if phase is not None:
-        sides = (BORDER_PX,) * 4
+        sides = (BORDER_PX, BORDER_PX, BORDER_PX, BORDER_PX)
         page = cv2.copyMakeBorder(page, *sides, cv2.BORDER_CONSTANT, value=BORDERS[phase])
     return _captioned(page, caption) if caption else page
 
