@@ -136,8 +136,9 @@ def disk(folder: Path) -> Iterator[Fact]:
         parent for parent in (folder.absolute(), *folder.absolute().parents) if parent.is_dir()
     )
     free_gb = shutil.disk_usage(place).free / 1e9
+    full = free_gb < LEAST_GB
     room = f"room for about {free_gb / EPISODE_MB:.0f} thousand episodes at 128 px"
-    follows = f"{LEAST_GB} GB are needed" if (full := free_gb < LEAST_GB) else room
+    follows = f"{LEAST_GB} GB are needed" if full else room
     yield Fact("disk", f"{free_gb:.1f} GB free in {place}", follows, problem=full)
 
 

@@ -12,7 +12,7 @@ import hashlib
 import re
 import secrets
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,10 +37,9 @@ from dynahoi_lerobot.evaluate.checkpoint import (
 )
 from dynahoi_lerobot.evaluate.replay_results import (
     changed_rules,
-    check_episodes,
-    check_results,
     drawn,
     open_recipe,
+    replay_problems,
 )
 from dynahoi_lerobot.evaluate.results import (
     ACTIONS_FILE,
@@ -197,9 +196,9 @@ class Repository:
                 f"another name"
             )
         files = self.files()
-        expected = {path.relative_to(folder).as_posix() for path in folder.rglob("*")}
-        foreign = files - expected - set(HUB_FILES)
-        foreign = sorted(name for name in foreign if not name.startswith(f"{RESULTS}/"))
+        own = {path.relative_to(folder).as_posix() for path in folder.rglob("*")}
+        others = files - own.union(HUB_FILES)
+        foreign = sorted(name for name in others if not name.startswith(f"{RESULTS}/"))
         if foreign:
             raise CommandError(
                 f"{self.name} holds other content ({foreign[0]}); choose another name"
@@ -396,9 +395,8 @@ def _check_policy(results: Results, repository: Repository, said: str) -> None:
         return
     if said:
         raise CommandError(f"{here}, not of {said}")
-    there = repository.weights()
     weights = {name: digest for name, digest in played.items() if not name.startswith(BASE)}
-    same = bool(weights) and all(there.get(name) == digest for name, digest in weights.items())
+    same = bool(weights) and weights.items() <= repository.weights().items()
     named = policy == repository.name and not played
     if not (same or named):
         raise CommandError(
@@ -419,11 +417,7 @@ def _replayed(results: Results, count: int | None) -> str:
             "they are of another version of the code, other libraries or another kind of processor"
         )
     chosen = drawn(len(results.rows), count, secrets.randbits(32))
-    recipe = open_recipe(results)
-    findings = list(check_results(results, recipe))
-    if not findings:
-        for episode in check_episodes(results, recipe, chosen):
-            findings += episode
+    findings = replay_problems(results, open_recipe(results), chosen)
     if findings:
         raise CommandError(
             f"{results.folder} was not pushed, because its commands lead to other results: "
@@ -443,24 +437,19 @@ def variant(results: Results) -> str:
         ValueError: if there is no such split, capture rule or control class.
     """
     info = results.info
-    words = [info.benchmark, info.split, info.capture, results.conditions["control_class"]]
-    words += [_text(info.extra[name]) for name in ("inference", "settings") if info.extra.get(name)]
+    control_class = results.conditions["control_class"]
+    told: list[Any] = [info.benchmark, info.split, info.capture, control_class]
+    told += [info.extra.get("inference") or "", info.extra.get("settings") or ""]
     for name, (value, _) in changed_rules(results).items():
         if name != "salt":
-            words.append(f"{name}_{_text(value)}")
+            told += [name, value]
     if len(results.rows) != BENCHMARK.splits[split_of(info.split)].size:
-        words.append(f"{len(results.rows)}_episodes")
-    name = re.sub(r"[^A-Za-z0-9.-]+", "_", "_".join(words)).strip("_.")
+        told += [len(results.rows), "episodes"]
+    name = re.sub(r"[^A-Za-z0-9.-]+", "_", "_".join(map(str, told))).strip("_.")
     if len(name) <= NAME_LENGTH:
         return name
     digest = hashlib.sha256(name.encode()).hexdigest()[:8]
     return f"{name[: NAME_LENGTH - 9]}_{digest}"
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, Sequence) and not isinstance(value, str):
-        return "_".join(map(str, value))
-    return str(value)
 
 
 def _card_of(repository: Repository, files: set[str]) -> ModelCard:

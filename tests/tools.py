@@ -2,17 +2,18 @@
 servers, plugins, small datasets, changed files.
 """
 
+import io
 import json
 import os
 import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from dynahoi_lerobot.cli.main import main
 
@@ -29,9 +30,23 @@ def python(*words: object, cwd: Path | None = None, **environment: str) -> str:
     return done.stdout
 
 
-def dynahoi(*words: object, code: int = 0) -> None:
-    """Run ``dynahoi`` in this process; it must end with an exit code."""
-    assert main([str(word) for word in words]) == code
+class Printed(NamedTuple):
+    """What a command has printed."""
+
+    out: str
+    err: str
+
+
+def dynahoi(*words: object, code: int = 0) -> Printed:
+    """Run ``dynahoi`` in this process, which must end with an exit code; return what it prints."""
+    out = io.StringIO()
+    err = io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        ended = main([str(word) for word in words])
+    sys.stdout.write(out.getvalue())
+    sys.stderr.write(err.getvalue())
+    assert ended == code
+    return Printed(out.getvalue(), err.getvalue())
 
 
 def run(words: list[str]) -> None:
@@ -102,9 +117,13 @@ def generated(root: Path, *words: str, episodes: int = 2) -> Path:
     return root
 
 
-def edit_json(path: Path, change: Callable[[Any], object]) -> None:
+def edit_json(
+    path: Path, change: Callable[[Any], object] = lambda content: None, **values: object
+) -> None:
+    """Change what a JSON file holds by a function, and set values of the object in it."""
     content = json.loads(path.read_text())
     change(content)
+    content |= values
     path.write_text(json.dumps(content))
 
 

@@ -13,9 +13,9 @@ import subprocess
 import sys
 import time
 import webbrowser
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import redirect_stdout
+from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -228,31 +228,35 @@ def run_lerobot(
     Raises:
         CommandError: if it fails.
     """
+    words = ["dynahoi_lerobot.cli.lerobot_command", command, *arguments]
     log = out / f"lerobot_{command}.log"
-    words = [sys.executable, "-m", "dynahoi_lerobot.cli.lerobot_command", command, *arguments]
+    _run(f"lerobot-{command}", words, log, lambda: bar.update(done() - bar.n))
+    bar.refresh()
+
+
+def _dynahoi(log: Path, command: str, *words: object) -> None:
+    """Run a command in a process of its own, which prints into ``log``."""
+    _run(f"dynahoi {command}", ["dynahoi_lerobot.cli.main", command, *words], log)
+
+
+def _run(
+    name: str, words: Sequence[object], log: Path, look: Callable[[], object] = lambda: None
+) -> None:
+    """Run ``python -m`` with ``words``; ``look`` is called every second and at the end."""
+    command = [sys.executable, "-m", *map(str, words)]
     with log.open("w", encoding="utf-8") as file:
-        print(f"lerobot-{command}", *arguments, file=file, flush=True)
-        process = subprocess.Popen(words, stdout=file, stderr=subprocess.STDOUT, env=_one_thread())
+        print(*command, file=file, flush=True)
+        process = subprocess.Popen(command, stdout=file, stderr=file, env=_one_thread())
         try:
-            while process.poll() is None:
-                time.sleep(POLL_S)
-                bar.update(done() - bar.n)
+            while process.returncode is None:
+                with suppress(subprocess.TimeoutExpired):
+                    process.wait(POLL_S)
+                look()
         finally:
             process.terminate()
             process.wait()
-    bar.update(done() - bar.n)
-    bar.refresh()
     if process.returncode:
-        raise CommandError(f"lerobot-{command} exited with code {process.returncode}; see {log}")
-
-
-def _dynahoi(log: Path, *words: object) -> None:
-    """Run a command in a process of its own, which prints into ``log``."""
-    command = [sys.executable, "-m", "dynahoi_lerobot.cli.main", *map(str, words)]
-    with log.open("w", encoding="utf-8") as file:
-        code = subprocess.call(command, stdout=file, stderr=subprocess.STDOUT, env=_one_thread())
-    if code:
-        raise CommandError(f"dynahoi {words[0]} exited with code {code}; see {log}")
+        raise CommandError(f"{name} exited with code {process.returncode}; see {log}")
 
 
 def _one_thread() -> dict[str, str]:

@@ -608,15 +608,11 @@ def _check_statistics(file: Path, pipeline: Any) -> None:
             if mode is None or (chosen is not None and key not in (*chosen, "action")):
                 continue
             for name in STATISTICS.get(mode.value, ()):
-                values = step.stats.get(key, {}).get(name)
-                if values is None:
-                    raise PolicyError(
-                        f"{file} normalizes {key}, and its statistics lack the {name} of that"
-                    )
+                values = step.stats.get(key, {}).get(name, np.nan)
                 if not _is_finite(values, feature.shape):
                     raise PolicyError(
-                        f"{file} normalizes {key} by a {name} that is not finite, or not of its "
-                        f"shape"
+                        f"{file} normalizes {key} by a {name} that is missing, not finite or not "
+                        f"of its shape"
                     )
 
 

@@ -3,7 +3,7 @@ p-value.
 """
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,7 @@ from dynahoi_lerobot.core.conventions import PALM_DOF
 from dynahoi_lerobot.evaluate.results import CONDITIONS, Results
 from dynahoi_lerobot.evaluate.rows import identity
 from dynahoi_lerobot.evaluate.summary import RESAMPLES, SEED, Estimate, bootstrap
-from dynahoi_lerobot.metrics import METRICS, Metric
+from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.sampling.salt import refuse_mixed_streams, refuse_to_mix
 
 CROSSABLE = tuple(name for name in CONDITIONS if name != "capture")
@@ -50,6 +50,17 @@ class Comparison(Estimate):
     p_value: float | None
 
 
+def refuse_mixture(results: Sequence[Results], *, allow_version_mismatch: bool) -> None:
+    """Raise a ValueError for evaluations of different salts, or, unless that is allowed, of
+    different versions of the benchmark.
+    """
+    refuse_mixed_streams((result.folder, result.info.split) for result in results)
+    if not allow_version_mismatch:
+        versions = [(result.folder, result.info.benchmark) for result in results]
+        remedy = "evaluate both under one version, or add --allow-version-mismatch"
+        refuse_to_mix("benchmark", versions, remedy)
+
+
 def unequal_conditions(a: Results, b: Results, across: Collection[str] = ()) -> list[str]:
     """Return the conditions in which two evaluations differ, without the compared ones,
     ``across``.
@@ -83,10 +94,7 @@ def compare(
         ValueError: if the metric is not registered; if another condition or the version differs,
             naming both values; always for different salts.
     """
-    refuse_mixed_streams((result.folder, result.info.split) for result in (a, b))
-    if not allow_version_mismatch:
-        found = [(result.folder, result.info.benchmark) for result in (a, b)]
-        refuse_to_mix("benchmark", found, "evaluate both under one version, or allow the mismatch")
+    refuse_mixture([a, b], allow_version_mismatch=allow_version_mismatch)
     for name in unequal_conditions(a, b, across):
         remedy = (
             f"add --across {name} to compare exactly that"
@@ -94,17 +102,19 @@ def compare(
             else "evaluate both under one"
         )
         refuse_to_mix(name, [(result.folder, result.conditions[name]) for result in (a, b)], remedy)
-    differences = (
-        command_distances_cm(a, b)
-        if metric == COMMANDS
-        else -np.diff(paired_values(a, b, metric))[:, 0]
-    )
-    if len(differences) == 0:
-        return None
+    return paired_difference(a, b, metric)
+
+
+def paired_difference(a: Results, b: Results, metric: str) -> Comparison | None:
+    """Compare as ``compare`` does, whatever the conditions of both are."""
     if metric == COMMANDS:
-        low, high = bootstrap(differences)
-        return Comparison(float(differences.mean()), low, high, "cm", len(differences), None)
-    return _difference(METRICS[metric], differences)
+        distances = command_distances_cm(a, b)
+        if not distances.size:
+            return None
+        low, high = bootstrap(distances)
+        return Comparison(float(distances.mean()), low, high, "cm", len(distances), None)
+    pairs = paired_values(a, b, metric)
+    return _difference(metric, pairs[:, 0] - pairs[:, 1]) if len(pairs) else None
 
 
 def verdict(metric: str, found: Comparison | None) -> int:
@@ -143,34 +153,31 @@ def _both_played(a: Results, b: Results) -> list[tuple[int, int]]:
     """Return the place in A and that in B of every episode that both have; the first place, if it
     was played more than once.
     """
-    in_a = _places(a)
-    in_b = _places(b)
+    in_a, in_b = (
+        {identity(row): place for place, row in reversed([*enumerate(results.rows)])}
+        for results in (a, b)
+    )
     return [(in_a[key], in_b[key]) for key in sorted(in_a.keys() & in_b.keys())]
 
 
-def _places(results: Results) -> dict[tuple, int]:
-    places: dict[tuple, int] = {}
-    for place, row in enumerate(results.rows):
-        places.setdefault(identity(row), place)
-    return places
-
-
-def _difference(metric: Metric, differences: np.ndarray) -> Comparison:
-    """Return the comparison that (n,) paired ``differences`` make.
+def _difference(name: str, differences: np.ndarray) -> Comparison:
+    """Return the comparison that (n,) paired ``differences`` in a metric make.
 
     Seeded resampling of A - B and of B - A would draw different samples. So the differences are
     turned to make the first that is not 0 positive, resampled, and the result is turned back.
     """
+    metric = METRICS[name]
     unequal = differences[differences != 0]
-    turned = unequal.size > 0 and unequal[0] < 0
-    forward = (-differences if turned else differences) + 0.0  # no -0.0
-    value = float(forward.mean())
-    n = len(forward)
-    low, high = bootstrap(forward)
-    p_value = _p_value(metric, forward)
-    if turned:
-        value, low, high = 0.0 - value, 0.0 - high, 0.0 - low
-    return Comparison(value, low, high, metric.unit, n, p_value)
+    sign = -1.0 if unequal.size and unequal[0] < 0 else 1.0
+    forward = sign * differences + 0.0  # no -0.0
+    value, *ends = sign * np.array([forward.mean(), *bootstrap(forward)]) + 0.0
+    low, high = map(float, sorted(ends))
+    p_value = (
+        mcnemar(int((forward > 0).sum()), int((forward < 0).sum()))
+        if metric.aggregation == "rate"
+        else sign_flip(forward)
+    )
+    return Comparison(float(value), low, high, metric.unit, len(forward), p_value)
 
 
 def mcnemar(only_a: int, only_b: int) -> float:
@@ -203,9 +210,3 @@ def sign_flip(differences: np.ndarray) -> float:
         )
     far = np.abs(values.sum() - 2 * flipped @ values) >= abs(values.sum()) * (1 - 1e-9)
     return float(far.mean() if exact else (far.sum() + 1) / (RESAMPLES + 1))
-
-
-def _p_value(metric: Metric, differences: np.ndarray) -> float:
-    if metric.aggregation == "rate":
-        return mcnemar(int((differences > 0).sum()), int((differences < 0).sum()))
-    return sign_flip(differences)

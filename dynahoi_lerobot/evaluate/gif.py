@@ -111,32 +111,16 @@ def _page(frame: np.ndarray, phase: str | None, caption: str, scale: int) -> np.
     """
     page = cv2.resize(frame, None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST)
     if phase is not None:
-        page = cv2.copyMakeBorder(
-            page,
-            BORDER_PX,
-            BORDER_PX,
-            BORDER_PX,
-            BORDER_PX,
-            cv2.BORDER_CONSTANT,
-            value=BORDERS[phase],
-        )
+        sides = (BORDER_PX, BORDER_PX, BORDER_PX, BORDER_PX)
+        page = cv2.copyMakeBorder(page, *sides, cv2.BORDER_CONSTANT, value=BORDERS[phase])
     return _captioned(page, caption) if caption else page
 
 
 def _captioned(page: np.ndarray, caption: str) -> np.ndarray:
     height, width = page.shape[:2]
     page = cv2.copyMakeBorder(page, 0, CAPTION_PX, 0, 0, cv2.BORDER_CONSTANT, value=STRIP)
-    caption = caption[:width]  # no character is narrower than a pixel
-    sizes = [
-        cv2.getTextSize(caption[:end], FONT, FONT_SCALE, 1)[0] for end in range(len(caption) + 1)
-    ]
-    fitting = [end for end, (text_width, _) in enumerate(sizes) if text_width <= width - 8]
-    shown = (
-        caption
-        if fitting[-1] == len(caption)
-        else caption[: max(fitting[-1] - 2, 0)].rstrip() + ".."
-    )
-    cv2.putText(page, shown, (4, height + 11), FONT, FONT_SCALE, INK, lineType=cv2.LINE_AA)
+    text = caption[:width]  # no character is narrower than a pixel; OpenCV cuts the rest
+    cv2.putText(page, text, (4, height + 11), FONT, FONT_SCALE, INK, lineType=cv2.LINE_AA)
     return page
 
 
@@ -149,13 +133,10 @@ def _quantized(pages: Sequence[np.ndarray]) -> list[Image.Image]:
     """
     from PIL import Image
 
-    few = [
-        pages[i] for i in np.linspace(0, len(pages) - 1, min(PALETTE_PAGES, len(pages))).astype(int)
-    ]
+    chosen = np.linspace(0, len(pages) - 1, min(PALETTE_PAGES, len(pages))).astype(int)
+    few = Image.fromarray(np.vstack([pages[i] for i in chosen]))
     octree = Image.Quantize.FASTOCTREE  # median cut would drop the color of a small target
-    learned = (
-        Image.fromarray(np.vstack(few)).quantize(COLORS - len(BORDERS), octree).getpalette() or []
-    )
+    learned = few.quantize(COLORS - len(BORDERS), octree).getpalette() or []
     palette = Image.new("P", (1, 1))
     palette.putpalette([*np.ravel(list(BORDERS.values())).tolist(), *learned])
     return [

@@ -81,7 +81,7 @@ class PolicyAgent(Agent):
         self.trained_for = checkpoint.trained_for(folder)
         self._chunk: Any = None
         self._frame = 0
-        self._worlds: np.ndarray | None = None  # that the policy plays; None for all
+        self._worlds = np.arange(0)  # that the policy plays
         self._guided = False
         taken = signature(self._policy.predict_action_chunk).parameters
         self._expects_delays = "inference_delay" in taken
@@ -105,7 +105,7 @@ class PolicyAgent(Agent):
         self._policy.reset()
         self._chunk = None
         self._frame = 0
-        self._worlds = None
+        self._worlds = np.arange(count)
         if self.thoughts is not None:
             self.thoughts.clear()
 
@@ -113,9 +113,8 @@ class PolicyAgent(Agent):
         """Let a policy that can play on with some of its worlds alone do so."""
         if not hasattr(self._policy, "keep_rows") or self.thoughts is not None:
             return
-        before = np.arange(self._count) if self._worlds is None else self._worlds
-        kept = np.setdiff1d(before, worlds)
-        if self._policy.keep_rows(np.searchsorted(before, kept)):
+        kept = np.setdiff1d(self._worlds, worlds)
+        if self._policy.keep_rows(np.searchsorted(self._worlds, kept)):
             self._worlds = kept
 
     @_in_a_sentence
@@ -125,16 +124,12 @@ class PolicyAgent(Agent):
         """
         import torch
 
-        self._count = len(observation.tasks)
-        played = observation if self._worlds is None else observation.of(self._worlds)
         with torch.inference_mode():
-            action = self._policy.select_action(self._batch(played))
+            action = self._policy.select_action(self._batch(observation.of(self._worlds)))
         if self.thoughts is not None:
             self.thoughts.append(getattr(self._policy, "decision", None))
         commands = self._commands(action)
-        if self._worlds is None:
-            return commands
-        all_commands = np.zeros((self._count, *commands.shape[1:]), commands.dtype)
+        all_commands = np.zeros((len(observation.tasks), *commands.shape[1:]), commands.dtype)
         all_commands[self._worlds] = commands
         return all_commands
 

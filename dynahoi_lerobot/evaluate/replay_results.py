@@ -67,15 +67,7 @@ def run(folder: Path, salt: str, count: int | None, seed: int | None) -> int:
         print(f"not the benchmark's {name}: {reprlib.repr(value)} instead of {reprlib.repr(rule)}")
     seed = secrets.randbits(32) if seed is None else seed
     chosen = drawn(len(results.rows), count, seed)
-    findings = list(check_results(results, recipe))
-    if not findings:
-        progress = progress_bar(
-            check_episodes(results, recipe, chosen),
-            total=len(chosen),
-            desc="replaying",
-            unit="episode",
-        )
-        findings = [finding for found in progress for finding in found]
+    findings = replay_problems(results, recipe, chosen)
     for finding in findings[:SHOWN]:
         print(finding)
     of = (
@@ -145,8 +137,26 @@ def _unseen_rules(results: Results) -> dict[str, tuple[Any, Any]]:
     return {name: (value, usual[name]) for name, value in said.items() if value != usual[name]}
 
 
-def check_results(results: Results, recipe: Recipe) -> Iterator[str]:
-    """Yield what in results and their folder is wrong by itself, before anything is played."""
+def replay_problems(results: Results, recipe: Recipe, chosen: Sequence[int]) -> list[str]:
+    """Return what is wrong in results by themselves, or, if nothing is, in the rows ``chosen`` when
+    they are played again.
+    """
+    problems = list(_problems_of_files(results))
+    if problems:
+        return problems
+    with progress_bar(total=len(chosen), desc="replaying", unit="episode") as progress:
+        for group in batched(chosen, PLAYED_TOGETHER):
+            logs = [results.log(i) for i in group]
+            episodes = replay(recipe, logs, images=False, as_evaluated=True)
+            for i, episode in zip(group, episodes, strict=True):
+                problems += _wrong_values(episode, results.rows[i])
+                problems += _wrong_actions(episode, results.actions[i])
+                progress.update()
+    return problems
+
+
+def _problems_of_files(results: Results) -> Iterator[str]:
+    """Yield what in results and their folder is wrong before anything is played."""
     info = results.info
     split = split_of(results.info.split)
     if info.benchmark != BENCHMARK_ID:
@@ -171,19 +181,6 @@ def check_results(results: Results, recipe: Recipe) -> Iterator[str]:
     unknown = results.head["metrics"].keys() - set(METRICS.names())
     for name in COMPUTED:
         yield from _wrong_sums(name, _without(results.head[name], unknown), recomputed[name])
-
-
-def check_episodes(results: Results, recipe: Recipe, indices: Sequence[int]) -> Iterator[list[str]]:
-    """Play rows ``indices`` again and yield what differs, a list for each of them in their
-    order.
-    """
-    for chosen in batched(indices, PLAYED_TOGETHER):
-        episodes = replay(recipe, [results.log(i) for i in chosen], images=False, as_evaluated=True)
-        for i, episode in zip(chosen, episodes, strict=True):
-            yield [
-                *_wrong_values(episode, results.rows[i]),
-                *_wrong_actions(episode, results.actions[i]),
-            ]
 
 
 def _otherwise(results: Results) -> str:

@@ -315,18 +315,14 @@ def read_results(folder: Path) -> Results:
     """
     folder = Path(folder)
     with reading(folder):
-        files = (METRICS_FILE, EPISODES_FILE, ACTIONS_FILE)
-        missing = [name for name in files if not (folder / name).exists()]
-    if missing:
-        raise ReadError(f"{folder} holds no results: {missing[0]} is missing; {REMEDY}")
+        for name in (METRICS_FILE, EPISODES_FILE, ACTIONS_FILE):
+            if not (folder / name).exists():
+                raise ReadError(f"{folder} holds no results: {name} is missing; {REMEDY}")
     head = _read_head(folder / METRICS_FILE)
     rows = _read_rows(folder / EPISODES_FILE)
     seeds, actions = _read_actions(folder / ACTIONS_FILE)
-    if not head["n"] == len(rows) == len(actions) > 0:
-        counts = (
-            f"{METRICS_FILE} {head['n']}, {EPISODES_FILE} {len(rows)}, {ACTIONS_FILE} "
-            f"{len(actions)}"
-        )
+    if not head["n"] == len(rows) > 0:
+        counts = f"{METRICS_FILE} {head['n']}, {EPISODES_FILE} {len(rows)}"
         raise ReadError(f"the files in {folder} disagree on the episodes: {counts}; {REMEDY}")
     if seeds != [row["seed"] for row in rows]:
         raise ReadError(
@@ -334,9 +330,8 @@ def read_results(folder: Path) -> Results:
         )
     _check_logs(folder / ACTIONS_FILE, rows, actions)
     info = RunInfo(**{entry.name: head[entry.name] for entry in fields(RunInfo)})
-    played = {"benchmark": info.benchmark}
-    played |= {name: value for name, value in flat(info.recipe).items() if name in COMPARED}
-    for name in played.keys() & rows[0].keys():
+    played = flat(info.recipe) | {"benchmark": info.benchmark}
+    for name in {"benchmark", *COMPARED}.intersection(COLUMNS):
         values = sorted({played[name], *(row[name] for row in rows)})
         if len(values) > 1:
             raise ReadError(
@@ -440,17 +435,10 @@ def _read_actions(path: Path) -> tuple[list[int], list[np.ndarray]]:
             raise ValueError(
                 f"its actions must be of shape (N, {HAND_DOF}), up to {LARGEST}; they are {given}"
             )
-        steps = np.diff(offsets, prepend=0, append=len(actions))
-        if (
-            seeds.ndim != 1
-            or offsets.shape != (len(seeds) + 1,)
-            or offsets.dtype.kind != "i"
-            or steps[0]
-            or steps[-1]
-            or steps.min() < 0
-        ):
+        logs = np.split(actions, offsets[1:-1])
+        if len(logs) != len(seeds) or not np.array_equal(np.cumsum([0, *map(len, logs)]), offsets):
             raise ValueError("its offsets do not divide its actions among its episodes")
-        return seeds.tolist(), np.split(actions, offsets[1:-1])
+        return seeds.tolist(), logs
 
 
 def _check_logs(path: Path, rows: Sequence[Row], actions: Sequence[np.ndarray]) -> None:

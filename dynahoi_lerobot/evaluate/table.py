@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
-from dynahoi_lerobot.evaluate.compare import compare, verdict
-from dynahoi_lerobot.evaluate.results import CONDITIONS, Results
+from dynahoi_lerobot.evaluate.compare import paired_difference, verdict
+from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.evaluate.rows import STRATA
 from dynahoi_lerobot.evaluate.summary import Estimate
 from dynahoi_lerobot.metrics import METRICS
@@ -24,10 +24,6 @@ MAIN_COLUMNS = (
 )
 """The paper's seven metrics, and beside its S_gra, which a fist passes, the grasp that a fist
 fails."""
-
-TITLES = ("split", *(name.replace("_", " ") for name in CONDITIONS), "benchmark", "n")
-"""Titles of an evaluation's conditions, beside its numbers: under others they do not
-compare."""
 
 FEWEST_MARKED = 20
 """A row of fewer episodes is neither marked as the best nor compared with marked rows."""
@@ -65,18 +61,19 @@ class Table:
         """Return the lines of the table, its caption on top and columns with numbers flush
         right.
         """
-        texts = [
-            [" ".join(filter(None, (cell.text, cell.detail))) for cell in row] for row in self.rows
-        ]
-        columns = [list(column) for column in zip(self.head, *texts, strict=True)]
-        for i, column in enumerate(columns):
+        rows = [[f"{cell.text} {cell.detail}".strip() for cell in row] for row in self.rows]
+        columns = []
+        for column, numeric in zip(zip(self.head, *rows, strict=True), self.numeric(), strict=True):
             width = max(map(len, column))
-            right = any(row[i].key is not None for row in self.rows)
-            columns[i] = [text.rjust(width) if right else text.ljust(width) for text in column]
-        lines = ["  ".join(line).rstrip() for line in zip(*columns, strict=True)]
-        return "\n".join(
-            [*filter(None, [self.caption]), lines[0], "-" * max(map(len, lines)), *lines[1:]]
-        )
+            columns.append([text.rjust(width) if numeric else text.ljust(width) for text in column])
+        head, *lines = ("  ".join(line).rstrip() for line in zip(*columns, strict=True))
+        rule = "-" * max(map(len, [head, *lines]))
+        return "\n".join([*filter(None, [self.caption]), head, rule, *lines])
+
+    def numeric(self) -> list[bool]:
+        """Tell for each column whether it holds numbers."""
+        columns = zip(*self.rows, strict=True)
+        return [any(cell.key is not None for cell in column) for column in columns]
 
     def turned(self) -> "Table":
         """Return it with rows for columns."""
@@ -110,29 +107,24 @@ def metrics_table(
 
     Conditions that all evaluations share are in the caption, so that the metrics fit the page.
     """
-    found = [conditions(result) for result in results]
-    differing = [i for i, values in enumerate(zip(*found, strict=True)) if len(set(values)) > 1]
-    shared = [f"{title} {found[0][i]}" for i, title in enumerate(TITLES) if i not in differing]
+    played = [conditions(result) | {"n": str(len(result.rows))} for result in results]
+    differing = [name for name in played[0] if len({told[name] for told in played}) > 1]
+    shared = [
+        f"{_titled(name)} {value}" for name, value in played[0].items() if name not in differing
+    ]
     best = _best(results, columns)
-    rows = tuple(
-        (
-            Cell(label),
-            *(
-                Cell(found[place][i], key=len(result.rows) if TITLES[i] == "n" else None)
-                for i in differing
-            ),
-            *(
-                metric_cell(result.summary[name], "best" if (place, name) in best else "")
-                for name in columns
-            ),
-        )
-        for place, (label, result) in enumerate(zip(labels, results, strict=True))
-    )
-    return Table(
-        ", ".join(shared),
-        ("policy", *(TITLES[i] for i in differing), *map(heading, columns)),
-        rows,
-    )
+    rows = []
+    for place, (label, result) in enumerate(zip(labels, results, strict=True)):
+        row = [Cell(label)]
+        for name in differing:
+            value = played[place][name]
+            row.append(Cell(value, key=int(value) if name == "n" else None))
+        for name in columns:
+            mark = "best" if (place, name) in best else ""
+            row.append(metric_cell(result.summary[name], mark))
+        rows.append(tuple(row))
+    head = ("policy", *map(_titled, differing), *map(heading, columns))
+    return Table(", ".join(shared), head, tuple(rows))
 
 
 def kind_table(results: Results, caption: str = "") -> Table:
@@ -187,14 +179,13 @@ def columns_for(results: Sequence[Results]) -> tuple[str, ...]:
     return tuple(name for name in ("S_hold", *MAIN_COLUMNS) if name in applying)
 
 
-def conditions(result: Results) -> list[str]:
-    """Return what ``TITLES`` name about an evaluation."""
-    return [
-        result.info.split,
-        *result.conditions.values(),
-        result.info.benchmark,
-        str(len(result.rows)),
-    ]
+def conditions(result: Results) -> dict[str, str]:
+    """Return what an evaluation played, by name: numbers of other episodes do not compare."""
+    return {"split": result.info.split, **result.conditions, "benchmark": result.info.benchmark}
+
+
+def _titled(condition: str) -> str:
+    return condition.replace("_", " ")
 
 
 def heading(name: str) -> str:
@@ -223,28 +214,18 @@ def _best(results: Sequence[Results], columns: Sequence[str]) -> set[tuple[int, 
     """
     groups: dict[tuple[str, ...], list[int]] = defaultdict(list)
     for place, result in enumerate(results):
-        groups[tuple(conditions(result)[:-1])].append(place)
+        groups[tuple(conditions(result).values())].append(place)
     best = set()
     for places, name in product(groups.values(), columns):
-        ranked = _ranked({place: results[place].summary[name] for place in places}, name)
-        if len(ranked) > 1 and all(
-            _beats(results[ranked[0]], results[other], name) for other in ranked[1:]
-        ):
-            best.add((ranked[0], name))
+        rivals = [place for place in places if results[place].summary[name].n >= FEWEST_MARKED]
+        for place in rivals if len(rivals) > 1 else []:
+            others = [results[other] for other in rivals if other != place]
+            if all(_beats(results[place], other, name) for other in others):
+                best.add((place, name))
     return best
-
-
-def _ranked(found: dict[int, Estimate], name: str) -> list[int]:
-    """Return the places of estimates of enough episodes, the best first."""
-    values = {
-        place: estimate.value
-        for place, estimate in found.items()
-        if estimate.value is not None and estimate.n >= FEWEST_MARKED
-    }
-    return sorted(values, key=lambda i: values[i], reverse=METRICS[name].direction == "higher")
 
 
 def _beats(a: Results, b: Results, name: str) -> bool:
     """Tell whether enough episodes that both played support that A is better than B."""
-    found = compare(a, b, name, allow_version_mismatch=True)
+    found = paired_difference(a, b, name)
     return found is not None and found.n >= FEWEST_MARKED and verdict(name, found) == 1

@@ -7,7 +7,7 @@ from dynahoi_lerobot.evaluate import table
 from dynahoi_lerobot.evaluate.compare import (
     COMMANDS,
     Comparison,
-    compare,
+    paired_difference,
     unequal_conditions,
     verdict,
 )
@@ -53,7 +53,7 @@ def pairs(
         if unequal_conditions(a.results, b.results, across):
             continue
         for name in COMPARED:
-            found = difference(a, b, name, across)
+            found = paired_difference(a.results, b.results, name)
             if found is not None:
                 yield a, b, name, found
 
@@ -80,7 +80,7 @@ def _compared(row: Entry, column: Entry, name: str, across: Collection[str]) -> 
     unequal = unequal_conditions(row.results, column.results, across)
     if unequal:
         return Cell("–", f"other {' and '.join(unequal)}")
-    result = difference(row, column, name, across)
+    result = paired_difference(row.results, column.results, name)
     if row is column or result is None:
         return Cell("–")
     cell = table.metric_cell(result)
@@ -90,11 +90,6 @@ def _compared(row: Entry, column: Entry, name: str, across: Collection[str]) -> 
     p_value = f"p {sign}{_p_text(result.p_value)}"
     mark = MARKS[verdict(name, result)]
     return Cell(cell.text, f"{cell.detail} {p_value}, n = {result.n}", cell.key, mark)
-
-
-def difference(a: Entry, b: Entry, name: str, across: Collection[str]) -> Comparison | None:
-    """Return A - B in one metric, or ``commands``; whether versions differ was asked before."""
-    return compare(a.results, b.results, name, across=across, allow_version_mismatch=True)
 
 
 LEAST_P = 0.001

@@ -1,6 +1,5 @@
 """The evaluations of one report, each with a short unique label and a mark of its own."""
 
-import os
 import re
 import warnings
 from collections.abc import Sequence
@@ -10,9 +9,9 @@ from typing import Any
 
 from dynahoi_lerobot.core.escaping import printable, shortened
 from dynahoi_lerobot.core.reading import LeftOut, ReadError
+from dynahoi_lerobot.evaluate.compare import refuse_mixture
 from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.evaluate.rows import Row, identity
-from dynahoi_lerobot.sampling.salt import refuse_mixed_streams, refuse_to_mix
 
 COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c6bb1", "#999999")
 """Okabe and Ito's color-blind safe palette without black and yellow, legible on light and dark."""
@@ -69,14 +68,7 @@ def read_entries(folders: Sequence[Path], *, allow_version_mismatch: bool = Fals
             different versions of the benchmark.
     """
     results = _readable(folders)
-    refuse_mixed_streams((result.folder, result.info.split) for result in results)
-    if not allow_version_mismatch:
-        versions = [(result.folder, result.info.benchmark) for result in results]
-        refuse_to_mix(
-            "benchmark",
-            versions,
-            "evaluate both under one version, or add --allow-version-mismatch",
-        )
+    refuse_mixture(results, allow_version_mismatch=allow_version_mismatch)
     results.sort(key=lambda result: -(result.summary["S_loc"].value or 0.0))
     labels = unique_labels(results)
     return [
@@ -89,12 +81,9 @@ def _readable(folders: Sequence[Path]) -> list[Results]:
     """Return the results of the folders that can be read; name the others in warnings."""
     results: list[Results] = []
     problems: list[ReadError] = []
-    places: dict[str, str] = {}
-    for folder in folders:
-        places.setdefault(os.path.realpath(folder), os.path.abspath(folder))
-    for place in places.values():
+    for folder in dict.fromkeys(folder.resolve() for folder in folders):
         try:
-            results.append(read_results(Path(place)))
+            results.append(read_results(folder))
         except ReadError as error:
             problems.append(error)
     if not results:

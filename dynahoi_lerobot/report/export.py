@@ -7,9 +7,11 @@ import csv
 import re
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
-from itertools import chain, pairwise
+from itertools import chain
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from dynahoi_lerobot import __version__
 from dynahoi_lerobot.core.escaping import latex, printable
@@ -121,13 +123,11 @@ def provenance(entries: Sequence[Entry]) -> list[str]:
     return lines
 
 
-def ranges(numbers: Collection[int]) -> str:
+def ranges(numbers: Sequence[int]) -> str:
     """Return ascending numbers in words, such as ``0-109, 200``."""
-    ordered = sorted(set(numbers))
-    starts = [ordered[0], *(b for a, b in pairwise(ordered) if b > a + 1)]
-    ends = [*(a for a, b in pairwise(ordered) if b > a + 1), ordered[-1]]
-    parts = [f"{a}-{b}" if b > a else str(a) for a, b in zip(starts, ends, strict=True)]
-    return ", ".join(parts)
+    ordered = np.unique(numbers)
+    runs = np.split(ordered, np.flatnonzero(np.diff(ordered) > 1) + 1)
+    return ", ".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs)
 
 
 # -- CSV -------------------------------------------------------------------------------------------
@@ -154,7 +154,7 @@ def _estimates(
 def _line(entry: Entry, name: str, metric: str, found: Estimate, **texts: str) -> dict[str, Any]:
     line = {"table": name, "policy": entry.label, "metric": metric, "unit": found.unit, **texts}
     line |= {column: getattr(found, column, None) for column in NUMBERS}
-    return line | dict(zip(PLAYED, table.conditions(entry.results), strict=False))
+    return line | table.conditions(entry.results)
 
 
 # -- LaTeX -----------------------------------------------------------------------------------------
@@ -162,13 +162,11 @@ def _line(entry: Entry, name: str, metric: str, found: Estimate, **texts: str) -
 
 def _latex_table(data: Table) -> str:
     """Return a table with the smaller line of each cell in a row of its own."""
-    columns = zip(*data.rows, strict=True)
-    right = [any(cell.key is not None for cell in column) for column in columns]
     lines = [
         r"\begin{table*}",
         r"\centering\footnotesize\setlength{\tabcolsep}{4pt}",
         rf"\caption{{{typeset(data.caption)}}}",
-        rf"\begin{{tabular}}{{{''.join('r' if number else 'l' for number in right)}}}",
+        rf"\begin{{tabular}}{{{''.join('r' if number else 'l' for number in data.numeric())}}}",
         r"\toprule",
         *_head(data.head),
         r"\midrule",

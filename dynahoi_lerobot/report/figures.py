@@ -7,6 +7,7 @@ import io
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -273,10 +274,9 @@ def per_kind(entries: Sequence[Entry]) -> Figure | None:
 
     Under the capture rule contact a second map shows S_hold. An empty cell was not played.
     """
-    pairs = {(row["category"], row["kind"]) for entry in entries for row in entry.results.rows}
-    categories = STRATA["category"].arrange({category for category, _ in pairs})
-    groups = [sorted(kind for category, kind in pairs if category == one) for one in categories]
-    kinds = [kind for group in groups for kind in group]
+    category_of = {row["kind"]: row["category"] for entry in entries for row in entry.results.rows}
+    categories = STRATA["category"].arrange(set(category_of.values()))
+    kinds = sorted(category_of, key=lambda kind: (categories.index(category_of[kind]), kind))
     if len(kinds) < 2:
         return None
     contact = [entry for entry in entries if entry.results.info.capture == "contact"]
@@ -292,8 +292,9 @@ def per_kind(entries: Sequence[Entry]) -> Figure | None:
         _heat_map(panel, cells, name)
         panel.set_yticks(range(len(shown)), [entry.label for entry in shown])
         panel.set_xticks(range(len(kinds)), kinds, rotation=45, ha="right", rotation_mode="anchor")
-        for separator in np.cumsum([len(group) for group in groups])[:-1]:
-            panel.axvline(separator - 0.5, color="#808080", lw=1)
+        for place, (kind, other) in enumerate(pairwise(kinds)):
+            if category_of[kind] != category_of[other]:
+                panel.axvline(place + 0.5, color="#808080", lw=1)
     return drawing
 
 
@@ -403,13 +404,12 @@ def latency(entries: Sequence[Entry]) -> Figure | None:
     Drawn from evaluations under ``--inference async`` or ``rtc`` with a declared latency; 0 where
     the world waits.
     """
-    told = {entry.label: latency_ms(entry) for entry in entries}
-    latencies = {label: ms for label, ms in told.items() if ms is not None}
+    told = {entry: latency_ms(entry) for entry in entries}
+    latencies = {entry: ms for entry, ms in told.items() if ms is not None}
     if len(set(latencies.values())) < 2:
         return None
     lines: dict[str, list[Entry]] = {}
-    timed = [entry for entry in entries if entry.label in latencies]
-    for entry in sorted(timed, key=lambda entry: latencies[entry.label]):
+    for entry in sorted(latencies, key=latencies.__getitem__):
         info = entry.results.info
         control_class = entry.results.conditions["control_class"]
         rules = (short_name(info.policy), info.split, info.capture, control_class)
@@ -418,11 +418,11 @@ def latency(entries: Sequence[Entry]) -> Figure | None:
         Entry.of(line[0].results, clip(label), place)
         for place, (label, line) in enumerate(lines.items())
     ]
-    drawing, panels = metric_panels([entry for line in lines.values() for entry in line], 2.0)
+    drawing, panels = metric_panels([*latencies], 2.0)
     legend(drawing, titles)
     for name, panel in panels.items():
         for title, line in zip(titles, lines.values(), strict=True):
-            places = np.array([latencies[entry.label] for entry in line])
+            places = np.array([latencies[entry] for entry in line])
             points(panel, places, [entry.results.summary[name] for entry in line], title)
         panel.set_xlabel("latency of an inference [ms]")
     return drawing

@@ -14,12 +14,17 @@ from dynahoi_lerobot.core.escaping import data_url, printable
 from dynahoi_lerobot.core.files import write_text_atomically
 from dynahoi_lerobot.core.reading import ReadError, inside, read_bytes
 from dynahoi_lerobot.evaluate import table
-from dynahoi_lerobot.evaluate.compare import COMMANDS, CROSSABLE, unequal_conditions
+from dynahoi_lerobot.evaluate.compare import (
+    COMMANDS,
+    CROSSABLE,
+    paired_difference,
+    unequal_conditions,
+)
 from dynahoi_lerobot.evaluate.results import RunInfo
 from dynahoi_lerobot.evaluate.table import Cell, Table
 from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.report import figures
-from dynahoi_lerobot.report.comparisons import comparison_tables, difference
+from dynahoi_lerobot.report.comparisons import comparison_tables
 from dynahoi_lerobot.report.entries import Entry, distinct_episodes, read_entries
 from dynahoi_lerobot.report.export import category_tables, write_csv, write_latex
 
@@ -62,14 +67,14 @@ def run(options: Options) -> int:
             print(f"evaluations with different {name} are not paired; --across {name} pairs them")
     for a, b in pairs if options.across else []:
         if not unequal_conditions(a.results, b.results, options.across):
-            print(_difference(a, b, options.across))
+            print(_difference(a, b))
     print(f"report: {page}")
     return 0
 
 
-def _difference(a: Entry, b: Entry, across: list[str]) -> str:
-    loc = difference(a, b, "S_loc", across)
-    apart = difference(a, b, COMMANDS, across)
+def _difference(a: Entry, b: Entry) -> str:
+    loc = paired_difference(a.results, b.results, "S_loc")
+    apart = paired_difference(a.results, b.results, COMMANDS)
     if loc is None or apart is None:
         return f"{a.label} and {b.label} share no episode"
     points = f"S_loc {100 * loc.value:+.1f} [{100 * loc.low:+.1f}, {100 * loc.high:+.1f}] points"

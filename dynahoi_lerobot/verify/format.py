@@ -116,9 +116,7 @@ def _bookkeeping(store: Store) -> Iterator[str]:
         )
         for key, values in wanted.items():
             found = columns[key][frames]
-            wrong = np.flatnonzero(found != values)
-            if wrong.size:
-                frame = int(wrong[0])
+            for frame in np.flatnonzero(found != values)[:1]:
                 yield f"{name}, frame {frame}: {key} is {found[frame]}, not {values[frame]}"
 
 

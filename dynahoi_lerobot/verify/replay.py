@@ -39,7 +39,7 @@ BLOCK_LEVELS = {12: 16.0, 2: 64.0}
 def seed_problems(
     store: Store,
     manifest: Manifest,
-    recording: Recording | None,
+    recording: Recording,
     note: Callable[[str], object],
 ) -> Iterator[str]:
     """Yield seeds that are not the plan's, and facts and constants of episodes that their seeds do
@@ -49,19 +49,18 @@ def seed_problems(
     """
     plan = manifest.provenance
     seeds = [row["seed"] for row in store.rows]
-    if recording is None:
-        return note("no recipe is known, so nothing was compared with the seeds")
     kept = plan.get("kept", range(plan["episodes"]))
     if sorted(seed % REDRAW_STRIDE for seed in seeds) != [plan["seed"] + slot for slot in kept]:
         yield f"the seeds are not those of {len(kept)} episodes from seed {plan['seed']} on"
-    if plan["code"] != code_fingerprint():
-        return note(
-            f"made by other code ({plan['code']}), so nothing else was compared with the seeds"
-        )
     recipe = recording.recipe
     if recipe.salt:
         return note(
-            "its episodes are hidden behind a salt, so nothing else was compared with the seeds"
+            "its episodes are hidden behind a salt, so nothing else was compared with the seeds, "
+            "or played again"
+        )
+    if plan["code"] != code_fingerprint():
+        return note(
+            f"made by other code ({plan['code']}), so nothing else was compared with the seeds"
         )
     batch = WorldBatch(recipe.rules, 1)
     episodes = store.stored_episodes()
@@ -93,9 +92,7 @@ def differences(made: Mapping[str, Any], stored: Mapping[str, Any]) -> Iterator[
             yield f"{name} of shape {values.shape}; stored is {np.shape(other)}"
             continue
         apart = np.abs(np.atleast_1d(values).astype(float) - other)
-        beyond = ~(apart <= TOLERANCE)
-        if beyond.any():
-            first = np.argwhere(beyond)[0][0]
+        for first, *_ in np.argwhere(~(apart <= TOLERANCE))[:1]:
             yield f"another {name} from row {first} on, up to {apart.max():.2g} apart"
 
 
@@ -181,12 +178,10 @@ def _apart(made: np.ndarray, stored: np.ndarray) -> str | None:
         return f"shows images of shape {stored.shape}; {made.shape} is made again"
     for frame, (one, other) in enumerate(zip(made, stored, strict=True)):
         apart = cv2.absdiff(one, other).mean(axis=2, dtype=np.float32)  # (H, W)
-        found = {"all": (float(apart.mean()), MEAN_LEVELS)}
-        found |= {
-            f"{n} x {n}": (float(cv2.blur(apart, (n, n)).max()), most)
-            for n, most in BLOCK_LEVELS.items()
-        }
-        for where, (levels, most) in found.items():
+        found = [("all", apart.mean(), MEAN_LEVELS)]
+        for n, most in BLOCK_LEVELS.items():
+            found.append((f"{n} x {n}", cv2.blur(apart, (n, n)).max(), most))
+        for where, levels, most in found:
             if levels > most:
                 told = (
                     f"{levels:.1f} of 255 levels in the mean of {where} px of frame {frame}; "

@@ -57,13 +57,15 @@ def verdict_problems(episode: Episode, hand: str | None) -> Iterator[str]:
         yield problem
         return
     if hand is not None:
-        yield from filter(None, [_fingertips(episode, hand)])
+        yield from _fingertips(episode, hand)
     if not 0 <= episode.meta.window_frames < len(episode):
         yield f"it is observed for {episode.meta.window_frames} of its {len(episode)} frames"
         return
     rule = CAPTURES[episode.meta.capture]()
     tips = tip_distances(episode)  # (T, 5)
-    yield from filter(None, (_palm(episode), _tips(episode, tips), _contacts(episode, rule, tips)))
+    yield from _palm(episode)
+    yield from _tips(episode, tips)
+    yield from _contacts(episode, rule, tips)
     track = _track(episode)
     latency = CONTROL_CLASSES[episode.meta.control_class].latency_frames
     acting = np.arange(len(episode)) + latency >= episode.meta.window_frames  # (T,)
@@ -83,9 +85,7 @@ def verdict_problems(episode: Episode, hand: str | None) -> Iterator[str]:
         "succeeded": next_frames(np.concatenate([before, rule.succeeded(track)])),
     }
     for name, wanted in flags.items():
-        wrong = np.flatnonzero(getattr(episode, name) != wanted)
-        if wrong.size:
-            frame = int(wrong[0])
+        for frame in np.flatnonzero(getattr(episode, name) != wanted)[:1]:
             yield (
                 f"{name} is {not wanted[frame]} at frame {frame}; rule {rule.name!r} says "
                 f"{wanted[frame]}"
@@ -104,9 +104,8 @@ def derived_problems(features: Features, frames: pa.Table, episode: Episode) -> 
     arrays = content_arrays(episode, [feature for feature in columns if feature.derived])
     for key, wanted in arrays.items():
         apart = np.abs(column_array(frames, key).astype(float) - wanted).max(axis=1)
-        wrong = np.flatnonzero(~(apart <= DERIVED_TOLERANCE))
-        if wrong.size:
-            yield f"{key} at frame {wrong[0]} is not what the other columns give"
+        for frame in np.flatnonzero(~(apart <= DERIVED_TOLERANCE))[:1]:
+            yield f"{key} at frame {frame} is not what the other columns give"
     if LANGUAGE in features:
         subtasks = subtask_rows(is_acting(episode.phase), episode.localized)
         wanted = pa.array([subtasks] * len(episode), frames.schema.field(LANGUAGE).type)
@@ -114,18 +113,16 @@ def derived_problems(features: Features, frames: pa.Table, episode: Episode) -> 
             yield f"{LANGUAGE} holds other subtasks than the phases and localization give"
 
 
-def _fingertips(episode: Episode, hand: str) -> str | None:
+def _fingertips(episode: Episode, hand: str) -> Iterator[str]:
     """Find fingertips that are not where forward kinematics puts them."""
     apart = np.abs(fingertip_poses(episode.state, hand) - episode.fingertips)
     # a rotation vector of half a turn has two signs
     apart = np.minimum(apart, np.abs(apart - 2 * np.pi)).max(axis=1)
-    if apart.max() <= TIP_TOLERANCE:
-        return None
-    frame = int(apart.argmax())
-    return (
-        f"fingertips at frame {frame} are {apart[frame]:.2g} m or rad off the kinematics of "
-        f"the state"
-    )
+    for frame in np.flatnonzero(~(apart <= TIP_TOLERANCE))[:1]:
+        yield (
+            f"fingertips at frame {frame} are {apart[frame]:.2g} m or rad off the kinematics of "
+            f"the state"
+        )
 
 
 def fingertip_poses(state: np.ndarray, hand: str) -> np.ndarray:
@@ -144,7 +141,7 @@ def fingertip_poses(state: np.ndarray, hand: str) -> np.ndarray:
     return np.concatenate([position, matrix_to_rotvec(rotation)], axis=-1).reshape(len(state), -1)
 
 
-def _palm(episode: Episode) -> str | None:
+def _palm(episode: Episode) -> Iterator[str]:
     """Find a least distance of a step that is larger than at its end, or smaller than on the
     straight line.
     """
@@ -154,13 +151,11 @@ def _palm(episode: Episode) -> str | None:
     straight = segment_distance(np.zeros((1, 3)), offset)[0]  # (T - 1,)
     low = np.concatenate([distance[:1] - START_TOLERANCE_M, straight - _bend(episode) - BELOW_M])
     high = distance + np.where(np.arange(len(found)) == 0, START_TOLERANCE_M, ABOVE_M)
-    frame = int(np.maximum(found - high, low - found).argmax())
-    if low[frame] <= found[frame] <= high[frame]:
-        return None
-    return (
-        f"palm_distance at frame {frame} is {found[frame]:.4f} m; poses give {low[frame]:.4f} "
-        f"to {high[frame]:.4f} m"
-    )
+    for frame in np.flatnonzero(~((low <= found) & (found <= high)))[:1]:
+        yield (
+            f"palm_distance at frame {frame} is {found[frame]:.4f} m; poses give "
+            f"{low[frame]:.4f} to {high[frame]:.4f} m"
+        )
 
 
 def _bend(episode: Episode) -> np.ndarray:
@@ -198,34 +193,29 @@ def tip_distances(episode: Episode) -> np.ndarray:
     return np.min(distances, axis=0)
 
 
-def _tips(episode: Episode, tips: np.ndarray) -> str | None:
+def _tips(episode: Episode, tips: np.ndarray) -> Iterator[str]:
     """Find a fingertip distance (T,) that is not the least of the five (T, 5) ones, 0 inside."""
+    found = episode.fingertip_distance_m
     wanted = np.maximum(tips.min(axis=1), 0.0)
-    apart = np.abs(episode.fingertip_distance_m - wanted)
-    if apart.max() <= TIP_TOLERANCE:
-        return None
-    frame = int(apart.argmax())
-    found = episode.fingertip_distance_m[frame]
-    return (
-        f"fingertip_distance at frame {frame} is {found:.4f} m; object and poses give "
-        f"{wanted[frame]:.4f} m"
-    )
+    for frame in np.flatnonzero(~(np.abs(found - wanted) <= TIP_TOLERANCE))[:1]:
+        yield (
+            f"fingertip_distance at frame {frame} is {found[frame]:.4f} m; object and poses give "
+            f"{wanted[frame]:.4f} m"
+        )
 
 
-def _contacts(episode: Episode, rule: CaptureRule, tips: np.ndarray) -> str | None:
+def _contacts(episode: Episode, rule: CaptureRule, tips: np.ndarray) -> Iterator[str]:
     """Find contacts that forces or distances contradict."""
     contacts = episode.target_contacts
     if episode.touch is not None and rule.uses_contact_sensors:
         wrong = contacts != (episode.touch > 0)
     else:
         wrong = (np.abs(tips - TOUCH_M) > TIP_TOLERANCE) & (contacts != (tips <= TOUCH_M))
-    if not wrong.any():
-        return None
-    frame = int(wrong.any(axis=1).argmax())
-    return (
-        f"target_contacts at frame {frame} are {contacts[frame].tolist()}, which touch or "
-        f"fingertips contradict"
-    )
+    for frame in np.flatnonzero(wrong.any(axis=1))[:1]:
+        yield (
+            f"target_contacts at frame {frame} are {contacts[frame].tolist()}, which touch or "
+            f"fingertips contradict"
+        )
 
 
 def _track(episode: Episode) -> Track:

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from dynahoi_lerobot.cli import main as cli
 from dynahoi_lerobot.cli.listing import LISTS
 from dynahoi_lerobot.cli.sample_page import stratified
 from dynahoi_lerobot.cli.view import Clip, write_clip
@@ -23,20 +22,17 @@ from dynahoi_lerobot.dataset.paths import INFO_PATH
 from dynahoi_lerobot.evaluate.gif import BORDERS
 from dynahoi_lerobot.evaluate.results import read_results
 from tests.evaluate.test_gif import pages, total_ms
+from tests.tools import dynahoi, edit_json
 
 
 @pytest.mark.parametrize("what", sorted(LISTS))
-def test_list_prints_every_entry_with_a_description(
-    what: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert cli.main(["list", what, "--json"]) == 0
-    rows = json.loads(capsys.readouterr().out)
+def test_list_prints_every_entry_with_a_description(what: str) -> None:
+    rows = json.loads(dynahoi("list", what, "--json").out)
     assert rows
     assert all(
         str(value) for row in rows for key, value in row.items() if key in ("description", "ranges")
     )
-    assert cli.main(["list", what]) == 0
-    shown = capsys.readouterr().out
+    shown = dynahoi("list", what).out
     assert max(map(len, shown.splitlines())) <= 100
     words = {word.strip(",:") for word in shown.split()}
     for row in rows:
@@ -53,30 +49,21 @@ def test_a_reader_that_has_had_enough_gets_no_message() -> None:
     assert listing.wait() == 141
 
 
-def test_a_wide_terminal_shows_a_list_as_a_table(monkeypatch, capsys):
+def test_a_wide_terminal_shows_a_list_as_a_table(monkeypatch):
     monkeypatch.setenv("COLUMNS", "500")
-    assert cli.main(["list", "motions"]) == 0
-    table = capsys.readouterr().out.splitlines()
+    table = dynahoi("list", "motions").out.splitlines()
     assert len(table) == len(LISTS["motions"]()) + 2
     assert len({len(line) for line in table}) == 1, "columns are aligned"
 
 
-def test_an_evaluation_goes_on_where_it_stopped_and_its_episodes_are_shown(tmp_path, capsys):
+def test_an_evaluation_goes_on_where_it_stopped_and_its_episodes_are_shown(tmp_path):
     out = tmp_path / "r"
     shown = {}
-    words = [
-        "evaluate",
-        "--policy",
-        "constant_velocity",
-        "--motions",
-        "planar,constant",
-        "--out",
-        str(out),
-    ]
-    words += ["--image-size", "32", "--episodes"]
-    assert cli.main([*words, "2", "--gifs", "1"]) == 0
+    words = ["evaluate", "--policy=constant_velocity", "--motions=planar,constant"]
+    words += ["--out", out, "--image-size=32", "--episodes"]
+    dynahoi(*words, 2, "--gifs=1")
     first = read_results(out).rows
-    assert cli.main([*words, "3", "--per-kind"]) == 0
+    dynahoi(*words, 3, "--per-kind")
     rows = read_results(out).rows
     assert [row["seed"] for row in rows[:2]] == [row["seed"] for row in first]
     assert sorted(row["seed"] for row in rows) == [0, 1, 2]
@@ -85,26 +72,21 @@ def test_an_evaluation_goes_on_where_it_stopped_and_its_episodes_are_shown(tmp_p
     stage = next(row["stage"] for row in rows if row["seed"] == 1)
     for view in ("ego", "side"):
         film = tmp_path / f"{view}.gif"
-        words = ["--seed", "1", "--image-size", "32", "--view", view, "--out", str(film)]
-        assert cli.main(["view", "--results", str(out), *words]) == 0
-        assert capsys.readouterr().out.endswith(f" {stage}\n")
+        words = ["view", "--results", out, "--image-size=32", "--view", view, "--out", film]
+        assert dynahoi(*words, "--seed=1").out.endswith(f" {stage}\n")
         shown[view] = film.read_bytes()
     assert shown["side"] != shown["ego"]
     results = read_results(out)
     replace(results, actions=tuple(np.concatenate([log] * 9) for log in results.actions)).write()
-    assert cli.main(["view", "--results", str(out), *words]) == 0
+    dynahoi(*words, "--seed=1")
     assert film.read_bytes() == shown["side"], "a log may be longer than its episode"
-    assert cli.main(["view", "--results", str(out), "--seed", "7", "--out", str(film)]) == 2
-
-
-def view(*words: object) -> int:
-    return cli.main(["view", *map(str, words)])
+    dynahoi(*words, "--seed=7", code=2)
 
 
 @pytest.mark.parametrize("suffix", ["gif", "mp4", "html"])
 def test_a_motion_is_played_into_every_format(suffix: str, tmp_path: Path) -> None:
     out = tmp_path / "new" / f"episode.{suffix}"
-    assert view("--motion", "lob", "--image-size", 32, "--out", out) == 0
+    dynahoi("view", "--motion=lob", "--image-size=32", "--out", out)
     assert [path.name for path in out.parent.iterdir()] == [out.name]
     if suffix == "mp4":
         assert set(sizes(out)) == {(32, 32)}
@@ -121,12 +103,10 @@ def sizes(path: Path) -> list[tuple[int, int]]:
         return [(frame.width, frame.height) for frame in film.decode(video=0)]
 
 
-def test_an_episode_of_a_dataset(
-    dataset: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_episode_of_a_dataset(dataset: Path, tmp_path: Path) -> None:
     out = tmp_path / "episode.gif"
-    assert view("--dataset", dataset, "--episode", 3, "--out", out) == 0
-    assert "Catch the blue ball." in capsys.readouterr().out
+    words = ["view", "--episode=3", "--out", out, "--dataset"]
+    assert "Catch the blue ball." in dynahoi(*words, dataset).out
     assert total_ms(out.read_bytes()) == 23 * 50, (
         "episode i of the made-up dataset has 20 + i frames"
     )
@@ -134,16 +114,15 @@ def test_an_episode_of_a_dataset(
     for page, phase in ((first, "observing"), (last, "localized")):
         assert np.abs(np.array(page.getpixel((0, 0))) - BORDERS[phase]).max() < 12
     slower = shutil.copytree(dataset, tmp_path / "slower")
-    info = json.loads((slower / INFO_PATH).read_text())
     for fps, code in ((10, 0), ("10", 2), (0, 2)):
-        (slower / INFO_PATH).write_text(json.dumps(info | {"fps": fps}))
-        assert view("--dataset", slower, "--episode", 3, "--out", out) == code
+        edit_json(slower / INFO_PATH, fps=fps)
+        dynahoi(*words, slower, code=code)
     assert total_ms(out.read_bytes()) == 23 * 100
 
 
 def test_a_sample_shows_what_the_dataset_holds_in_step(dataset: Path, tmp_path: Path) -> None:
     out = tmp_path / "sample.html"
-    assert view("--dataset", dataset, "--sample", 2, "--out", out) == 0
+    dynahoi("view", "--dataset", dataset, "--sample=2", "--out", out)
     page = json.loads(out.read_text().split('id="data">')[1].split("</script>")[0])
     assert [episode["index"] for episode in page["episodes"]] == [0, 5], (
         "spread over the six of the only kind"

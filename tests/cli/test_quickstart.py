@@ -6,12 +6,12 @@ import pytest
 import yaml
 
 from dynahoi_lerobot.cli import quickstart
-from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.core.arguments import CommandError
 from dynahoi_lerobot.core.progress import progress_bar
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.sampling.benchmark import MOTIONS
 from tests.report.example_runs import example_run
+from tests.tools import dynahoi
 
 STANDARD = Path(__file__).parents[2] / "recipes" / "train" / "obact.yaml"
 """What the quickstart shortens; wheels hold only the copy."""
@@ -98,14 +98,14 @@ def test_options_decide_how_much_is_done(tmp_path: Path, monkeypatch: pytest.Mon
         ["--episodes", "4", "--steps", "10", "--evaluation-episodes", "3"],
         ["--tiny"],
     ):
-        assert main(["quickstart", "--out", str(tmp_path / str(len(words))), *words]) == 0
+        dynahoi("quickstart", "--out", tmp_path / str(len(words)), *words)
     assert sizes == [(800, 400, 2, 22), (4, 10, 3, 22), (2, 5, 1, 2)]
 
 
-def test_the_core_install_is_told_what_the_quickstart_needs(tmp_path, monkeypatch, capsys):
+def test_the_core_install_is_told_what_the_quickstart_needs(tmp_path, monkeypatch):
     monkeypatch.setattr(
         quickstart.importlib.util, "find_spec", lambda name: None if name == "torch" else name
     )
-    assert main(["quickstart", "--out", str(tmp_path / "quickstart")]) == 2
-    assert "training needs torch: pip install" in capsys.readouterr().err
+    said = dynahoi("quickstart", "--out", tmp_path / "quickstart", code=2).err
+    assert "training needs torch: pip install" in said
     assert not any(tmp_path.iterdir())

@@ -9,7 +9,6 @@ import pytest
 import torch
 from PIL import Image
 
-from dynahoi_lerobot.cli import main as cli
 from dynahoi_lerobot.cli.thoughts import SIGHTED, WIDTH_PX, drawn
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.renderers.views import COLORS
@@ -18,6 +17,7 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.checkpoints import tiny_diffusion
+from tests.tools import dynahoi
 
 
 def place(mask: np.ndarray) -> np.ndarray:
@@ -46,27 +46,17 @@ def test_a_sighting_is_drawn_where_the_camera_shows_the_target(camera: str):
 
 
 def test_a_policy_s_thoughts_become_a_film_at_the_size_it_was_trained_for(
-    actor: Path, tmp_path: Path, capsys
+    actor: Path, tmp_path: Path
 ):
-    words = [
-        "view",
-        "--motion",
-        "lob",
-        "--policy",
-        str(actor),
-        "--thoughts",
-        "--out",
-        str(tmp_path / "lob.gif"),
-    ]
-    assert cli.main(words) == 0
-    assert f"{actor}: Catch" in capsys.readouterr().out
-    with Image.open(tmp_path / "lob.gif") as film:
+    out = tmp_path / "lob.gif"
+    words = ("--motion=lob", "--policy", actor, "--thoughts", "--out", out)
+    assert f"{actor}: Catch" in dynahoi("view", *words).out
+    with Image.open(out) as film:
         assert film.height > film.width > WIDTH_PX, "a strip of attention below"
 
 
-def test_a_policy_without_thoughts_is_told_so(tmp_path: Path, capsys):
+def test_a_policy_without_thoughts_is_told_so(tmp_path: Path):
     folder = tiny_diffusion(tmp_path / "policy")
-    words = ["view", "--motion", "lob", "--policy", str(folder), "--thoughts"]
-    words += ["--environment-state", "truth"]
-    assert cli.main([*words, "--out", str(tmp_path / "lob.gif")]) == 2
-    assert "records nothing" in capsys.readouterr().err
+    words = ["--motion=lob", "--policy", folder, "--thoughts", "--environment-state=truth"]
+    said = dynahoi("view", *words, "--out", tmp_path / "lob.gif", code=2).err
+    assert "records nothing" in said

@@ -87,17 +87,16 @@ def test_the_base_is_found_from_any_folder(adapter: Path, monkeypatch, tmp_path)
         assert PolicyAgent(str(adapter)).weights
 
 
-def test_a_base_that_is_not_there_is_one_sentence(adapter: Path, capsys) -> None:
+def test_a_base_that_is_not_there_is_one_sentence(adapter: Path) -> None:
     shutil.rmtree(adapter.parents[1] / "base")
-    dynahoi("evaluate", "--policy", adapter, "--episodes", "1", code=2)
-    message = capsys.readouterr().err
+    message = dynahoi("evaluate", "--policy", adapter, "--episodes", "1", code=2).err
     assert message.count("\n") == 1
     assert "adapts 'base'" in message
 
 
 @pytest.mark.parametrize("name", [".", "..", "runs/adapter"])
 def test_an_adapter_of_an_adapter_is_refused(name: str, adapter: Path) -> None:
-    edit_json(adapter / "adapter_config.json", lambda c: c.update(base_model_name_or_path=name))
+    edit_json(adapter / "adapter_config.json", base_model_name_or_path=name)
     with pytest.raises(PolicyError):
         checked_folder(str(adapter))
 
@@ -121,7 +120,7 @@ def test_the_base_passes_the_same_checks(adapter: Path, tmp_path: Path) -> None:
     ],
 )
 def test_an_adapter_that_could_make_peft_load_more_is_refused(told: dict, adapter: Path) -> None:
-    edit_json(adapter / "adapter_config.json", lambda config: config.update(told))
+    edit_json(adapter / "adapter_config.json", **told)
     with pytest.raises(PolicyError, match="--trust"):
         checked_folder(str(adapter))
 

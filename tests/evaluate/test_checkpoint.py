@@ -6,7 +6,6 @@ import hashlib
 import json
 import shutil
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -59,13 +58,11 @@ def marker(tmp_path: Path) -> Path:
     [("evaluate --episodes 1", PREPROCESSOR), ("view --motion lob", "policy_postprocessor.json")],
 )
 def test_a_step_that_is_a_program_is_refused_by_every_command(
-    command, pipeline, checkpoint, marker, capsys
+    command, pipeline, checkpoint, marker
 ):
     add_step(checkpoint, program(marker), pipeline)
-    out = str(checkpoint.parent / "x.gif")
-    words = [*command.split(), "--policy", str(checkpoint), "--out", out]
-    dynahoi(*words, code=2)
-    message = capsys.readouterr().err
+    out = checkpoint.parent / "x.gif"
+    message = dynahoi(*command.split(), "--policy", checkpoint, "--out", out, code=2).err
     assert "'os.mkdir'" in message
     assert "--trust" in message
     assert not marker.exists()
@@ -150,21 +147,17 @@ def test_code_of_another_repository_does_not_run_and_nobody_is_asked(
     name, checkpoint, marker, monkeypatch
 ):
     monkeypatch.setattr("builtins.input", lambda _: pytest.fail("transformers asks"))
-    files, step, settings = REPOSITORY_CODE[name]
     other = checkpoint.parent / "other"
     other.mkdir()
+    told = json.dumps(REPOSITORY_CODE[name]).replace("OTHER", str(other))
+    files, step, settings = json.loads(told)
     (other / "config.json").write_text('{"model_type": "bert"}')
     for file, content in files.items():
         (other / file).write_text(json.dumps(content))
     (other / "evil.py").write_text(f"import os\nos.mkdir({str(marker)!r})\nclass Evil: ...\n")
-
-    def name_it(path: Path, change: Callable[[dict], object]) -> None:
-        edit_json(path, change)
-        path.write_text(path.read_text().replace("OTHER", str(other)))
-
     if step is not None:
-        name_it(checkpoint / PREPROCESSOR, lambda content: content.update(steps=[step]))
-    name_it(checkpoint / "config.json", lambda content: content.update(settings))
+        edit_json(checkpoint / PREPROCESSOR, steps=[step])
+    edit_json(checkpoint / "config.json", **settings)
     with pytest.raises(PolicyError, match=r"cannot be loaded|--trust"):
         PolicyAgent(str(checkpoint))
     assert not marker.exists()
@@ -178,7 +171,7 @@ def test_a_policy_plays_without_transformers(monkeypatch: pytest.MonkeyPatch) ->
 def test_a_policy_that_is_not_installed_or_not_there_is_named(
     checkpoint: Path, monkeypatch
 ) -> None:
-    edit_json(checkpoint / "config.json", lambda config: config.update(type="elsewhere"))
+    edit_json(checkpoint / "config.json", type="elsewhere")
     with pytest.raises(PolicyError, match=r"'elsewhere'.*install lerobot_policy_elsewhere"):
         PolicyAgent(str(checkpoint), trust=True)
     monkeypatch.setattr(
@@ -257,21 +250,19 @@ def test_statistics_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     ],
 )
 def test_values_that_nothing_can_play_are_one_sentence(
-    name: str, change: dict, sentence: str, checkpoint: Path, capsys
+    name: str, change: dict, sentence: str, checkpoint: Path
 ) -> None:
-    edit_json(checkpoint / name, lambda content: content.update(change))
-    dynahoi("evaluate", "--policy", checkpoint, "--episodes", "1", code=2)
-    message = capsys.readouterr().err
+    edit_json(checkpoint / name, **change)
+    message = dynahoi("evaluate", "--policy", checkpoint, "--episodes", "1", code=2).err
     assert sentence in message
     assert message.count("\n") == 1
 
 
-def test_a_checkpoint_plays_under_the_rules_it_was_trained_for(checkpoint, tmp_path, capsys):
+def test_a_checkpoint_plays_under_the_rules_it_was_trained_for(checkpoint, tmp_path):
     late = {"type": "dynahoi", "control_class": "late", "capture": "contact"}
-    edit_json(checkpoint / "train_config.json", lambda config: config.update(env=late))
-    words = ["evaluate", "--policy", str(checkpoint), "--episodes", "1"]
-    dynahoi(*words, "--out", tmp_path / "own")
-    assert "--control-class late" in capsys.readouterr().out
+    edit_json(checkpoint / "train_config.json", env=late)
+    words = ["evaluate", "--policy", checkpoint, "--episodes", "1", "--out"]
+    assert "--control-class late" in dynahoi(*words, tmp_path / "own").out
     results = read_results(tmp_path / "own")
     assert (
         results.info.extra["weights"][WEIGHTS]
@@ -279,7 +270,7 @@ def test_a_checkpoint_plays_under_the_rules_it_was_trained_for(checkpoint, tmp_p
     )
     recipe = results.recipe().rules
     assert (recipe.capture, recipe.control_class, recipe.image_size) == ("contact", "late", 32)
-    dynahoi(*words, "--out", tmp_path / "told", "--control-class", "unlimited")
+    dynahoi(*words, tmp_path / "told", "--control-class", "unlimited")
     assert read_results(tmp_path / "told").recipe().rules.control_class == "unlimited"
 
 
@@ -293,12 +284,13 @@ def test_the_dataset_tells_what_a_checkpoint_was_trained_for(
     Manifest(0, 0, {}, provenance={"recording": recording}).write(tmp_path / "data")
     edit_json(
         checkpoint / "train_config.json",
-        lambda c: c.update(env=env, dataset={"root": str(tmp_path / "data")}),
+        env=env,
+        dataset={"root": str(tmp_path / "data")},
     )
     seen = {"image_size": 32, "views": (), "environment_state": ""}
     assert trained_for(checkpoint) == rules | seen
     camera = {"observation.images.ego_motion": {"type": "VISUAL", "shape": [3, 64, 64]}}
-    edit_json(checkpoint / "config.json", lambda c: c.update(input_features=camera))
+    edit_json(checkpoint / "config.json", input_features=camera)
     assert trained_for(checkpoint)["image_size"] == 64, "of any camera"
 
 

@@ -25,7 +25,7 @@ def rewritten(folder: Path, **changes: object) -> None:
 
 def set_head(**changes: object) -> Callable[[Path], None]:
     """Return a function that changes ``metrics.json``."""
-    return lambda folder: edit_json(folder / "metrics.json", lambda head: head.update(changes))
+    return lambda folder: edit_json(folder / "metrics.json", **changes)
 
 
 def better_sum(folder: Path) -> None:
@@ -98,11 +98,8 @@ def honest(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_an_honest_result_replays_and_its_digests_are_told(
-    honest: Path, capsys: pytest.CaptureFixture[str]
-):
-    dynahoi("evaluate", "--replay", honest)
-    said = capsys.readouterr().out
+def test_an_honest_result_replays_and_its_digests_are_told(honest: Path):
+    said = dynahoi("evaluate", "--replay", honest).out
     for name in ("metrics.json", "episodes.parquet", "actions.npz"):
         assert hashlib.sha256((honest / name).read_bytes()).hexdigest() in said
     assert (
@@ -110,55 +107,45 @@ def test_an_honest_result_replays_and_its_digests_are_told(
     )
 
 
-def test_results_of_other_code_are_replayed_with_a_word(
-    honest: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_results_of_other_code_are_replayed_with_a_word(honest: Path, tmp_path: Path):
     other = shutil.copytree(honest, tmp_path / "other")
     set_head(code="0123456789abcdef")(other)
-    dynahoi("evaluate", "--replay", other)
-    assert "made by other code" in capsys.readouterr().out
+    assert "made by other code" in dynahoi("evaluate", "--replay", other).out
 
 
-def test_a_drawn_sample_can_be_drawn_again(honest: Path, capsys: pytest.CaptureFixture[str]):
-    dynahoi("evaluate", "--replay", honest, "--episodes", "1")
-    (seed,) = re.findall(r"--replay-seed (\d+)", first := capsys.readouterr().out)
-    dynahoi("evaluate", "--replay", honest, "--episodes", "1", "--replay-seed", seed)
-    assert capsys.readouterr().out == first
+def test_a_drawn_sample_can_be_drawn_again(honest: Path):
+    words = ["evaluate", "--replay", honest, "--episodes", "1"]
+    first = dynahoi(*words).out
+    (seed,) = re.findall(r"--replay-seed (\d+)", first)
+    assert dynahoi(*words, "--replay-seed", seed).out == first
     assert len(set(drawn(1000, 44, 0))) == 44
     assert drawn(1000, 44, 0) != drawn(1000, 44, 1)
 
 
-def test_easier_rules_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    words = ["evaluate", "--policy", "hold", "--episodes", "2", "--out", str(tmp_path / "easy")]
+def test_easier_rules_are_named(tmp_path: Path):
+    words = ["evaluate", "--policy", "hold", "--episodes", "2", "--out", tmp_path / "easy"]
     dynahoi(*words, "--motions", "constant", "--protocol", "direct_act")
-    capsys.readouterr()
-    dynahoi("evaluate", "--replay", tmp_path / "easy")
-    said = capsys.readouterr().out
+    said = dynahoi("evaluate", "--replay", tmp_path / "easy").out
     assert "not the benchmark's motions: ['constant']" in said
     assert "not the benchmark's protocol: 'direct_act'" in said
 
 
 @pytest.mark.parametrize(("forge", "finding"), FORGERIES)
-def test_a_forged_result_is_found(honest, tmp_path, forge, finding, capsys):
+def test_a_forged_result_is_found(honest, tmp_path, forge, finding):
     folder = tmp_path / "forged"
     shutil.copytree(honest, folder)
     forge(folder)
-    dynahoi("evaluate", "--replay", folder, code=1)
-    said = capsys.readouterr().out
+    said = dynahoi("evaluate", "--replay", folder, code=1).out
     assert finding.format(*(row["seed"] for row in read_results(honest).rows)) in said
     assert "not the same" in said
 
 
-def test_results_of_a_salt_are_replayed_by_who_knows_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture
-):
+def test_results_of_a_salt_are_replayed_by_who_knows_it(tmp_path: Path):
     secret = "a secret of sixteen letters"
-    folder = str(tmp_path / "results")
+    folder = tmp_path / "results"
     dynahoi("evaluate", "--policy", "hold", "--episodes", "2", "--salt", secret, "--out", folder)
     dynahoi("evaluate", "--replay", folder, "--salt", secret)
-    capsys.readouterr()
     for salt in ("", "another one of sixteen letters"):
-        dynahoi("evaluate", "--replay", folder, "--salt", salt, code=2)
-        said = capsys.readouterr().err
+        said = dynahoi("evaluate", "--replay", folder, "--salt", salt, code=2).err
         assert "the results are of salt sha256:" in said
         assert secret not in said

@@ -215,6 +215,8 @@ DAMAGE: list[tuple[Callable[[Path], None], str]] = [
         "control_class 'late' and 'standard'",
     ),
     (set_action("seed", lambda old: old + 1), "its seeds are not those of"),
+    (set_action("offsets", lambda old: old[::-1]), "its offsets do not divide its actions"),
+    (set_action("offsets", lambda old: old[:-1]), "its offsets do not divide its actions"),
     (set_column("window_frames", [40] * 6), "seed 0 has 40 commands, and window_frames is 40"),
     (set_column("E_loc", [1e308] * 6), "it says E_loc of an episode is 1e+308"),
     (

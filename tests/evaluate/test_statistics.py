@@ -19,6 +19,7 @@ from dynahoi_lerobot.evaluate.table import (
     results_table,
 )
 from dynahoi_lerobot.motions.base import CATEGORIES
+from tests.evaluate.test_compare import results as scored
 from tests.synthetic import run_info, synthetic_episode
 
 EPISODE = synthetic_episode(image_size=None)
@@ -162,23 +163,13 @@ def test_a_metric_that_does_not_apply_is_an_empty_cell_or_no_column():
     assert table.rows[1][place].key is None
 
 
-def played(metric: str, values: list[float], first_seed: int) -> Results:
-    """Results with one value an episode."""
-    episode = synthetic_episode(0, image_size=None)
-    rows = [
-        episode_row(changed(episode, {"seed": seed})) | {metric: value}
-        for seed, value in enumerate(values, first_seed)
-    ]
-    return Results(Path("run"), run_info("p"), tuple(rows), ())
-
-
 def bold(*values: list[float], metric: str = "S_loc", apart: int = 0) -> list[bool]:
     """Which of some evaluations are bold, given the values of each; the seeds of each begin so far
     ``apart``.
     """
-    results = [played(metric, one, apart * i) for i, one in enumerate(values)]
-    labels = [str(i) for i in range(len(results))]
-    return [row[-1].mark == "best" for row in metrics_table(labels, results, [metric]).rows]
+    found = [scored(one, metric, first_seed=apart * i) for i, one in enumerate(values)]
+    labels = [str(i) for i in range(len(found))]
+    return [row[-1].mark == "best" for row in metrics_table(labels, found, [metric]).rows]
 
 
 def test_bold_is_what_a_paired_test_of_enough_episodes_supports():

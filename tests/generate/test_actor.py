@@ -100,7 +100,7 @@ def test_any_number_of_workers_gives_the_same_bytes(generated: Path, actor: Path
 
 def test_another_checkpoint_is_another_dataset(generated, actor, tmp_path, capsys):
     other = shutil.copytree(actor, tmp_path / "other")
-    edit_json(other / "config.json", lambda content: content.update(n_action_steps=1))
+    edit_json(other / "config.json", n_action_steps=1)
     assert actor_name(str(other)) != actor_name(str(actor))
     assert main(words(other, generated)) == 2
     assert "holds another dataset (other actor)" in capsys.readouterr().err

@@ -5,8 +5,8 @@ else.
 import hashlib
 import json
 import shutil
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
+from collections.abc import Iterable, Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ import pytest
 import yaml
 from huggingface_hub import constants
 
-from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.dataset import frame_column
 from dynahoi_lerobot.evaluate.checkpoint import load_policy
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent, PolicyError
@@ -22,40 +22,29 @@ from dynahoi_lerobot.evaluate.results import METRICS_FILE
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK_ID
 from tests.hub.server import TOKEN, Hub, Repo, serving
 from tests.synthetic import run_info, synthetic_episode, write_results
-from tests.tools import generated
-
-Push = Callable[..., tuple[int, str, str]]
-"""Run ``dynahoi push`` and return its exit code and what it printed on both streams."""
+from tests.tools import dynahoi, generated
 
 
-@pytest.fixture
-def hub() -> Iterator[Hub]:
+@pytest.fixture(autouse=True)
+def hub(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Hub]:
+    """A Hub in memory, which the client takes for the real one."""
     with serving() as hub:
+        template = constants.HUGGINGFACE_CO_URL_TEMPLATE.replace(constants.ENDPOINT, hub.url)
+        monkeypatch.setattr(constants, "HUGGINGFACE_CO_URL_TEMPLATE", template)
+        monkeypatch.setattr(constants, "ENDPOINT", hub.url)
+        monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path / "hub_cache"))
+        monkeypatch.setattr(constants, "HF_TOKEN_PATH", str(tmp_path / "no_token"))
+        monkeypatch.setattr(
+            constants, "HF_HUB_DISABLE_XET", True
+        )  # the server has only the large file storage
+        monkeypatch.setenv("HF_TOKEN", TOKEN)
+        monkeypatch.setattr(
+            "dynahoi_lerobot.hub.load_policy", lambda *_, **__: None
+        )  # most checkpoints here are stubs
         yield hub
 
 
-@pytest.fixture
-def push(
-    hub: Hub, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> Push:
-    template = constants.HUGGINGFACE_CO_URL_TEMPLATE.replace(constants.ENDPOINT, hub.url)
-    monkeypatch.setattr(constants, "HUGGINGFACE_CO_URL_TEMPLATE", template)
-    monkeypatch.setattr(constants, "ENDPOINT", hub.url)
-    monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path / "hub_cache"))
-    monkeypatch.setattr(constants, "HF_TOKEN_PATH", str(tmp_path / "no_token"))
-    monkeypatch.setattr(
-        constants, "HF_HUB_DISABLE_XET", True
-    )  # the server has only the large file storage
-    monkeypatch.setenv("HF_TOKEN", TOKEN)
-    monkeypatch.setattr(
-        "dynahoi_lerobot.hub.load_policy", lambda *_, **__: None
-    )  # most checkpoints here are stubs
-
-    def run(*words: object) -> tuple[int, str, str]:
-        code = main(["push", *map(str, words)])
-        return code, *capsys.readouterr()
-
-    return run
+push = partial(dynahoi, "push")
 
 
 @pytest.fixture(scope="session")
@@ -88,11 +77,7 @@ def write_split(
     episode = synthetic_episode(0, image_size=None)
     info = run_info(policy, command=command, extra=extra, split=split, **recipe)
     shown = {name: recipe[name] for name in ("protocol",) if name in recipe}
-    write_results(
-        folder,
-        [replace(episode, meta=replace(episode.meta, seed=seed, **shown)) for seed in seeds],
-        info,
-    )
+    write_results(folder, [changed(episode, shown | {"seed": seed}) for seed in seeds], info)
     return folder
 
 
@@ -101,25 +86,20 @@ DATASET = "datasets/me/catching"
 MODEL = "models/me/policy"
 
 
-def refused(
-    answer: tuple[int, str, str], sentence: str, wanted: int = 1, *, in_one_line: bool = True
-) -> None:
-    """The command ended with an exit code and said why."""
-    code, _, err = answer
-    assert code == wanted, err
-    assert sentence in err
-    assert err.count("\n") == 1 or not in_one_line, err
+def refused(sentence: str, *words: object, code: int = 1, in_one_line: bool = True) -> None:
+    """A push must end with an exit code and say why."""
+    said = push(*words, code=code).err
+    assert sentence in said
+    assert said.count("\n") == 1 or not in_one_line, said
 
 
 # -- datasets --------------------------------------------------------------------------------------
 
 
 def test_every_file_arrives_both_tags_are_set_and_pushing_again_changes_nothing(
-    simulated: Path, hub: Hub, push: Push
+    simulated: Path, hub: Hub
 ):
-    code, out, err = push(simulated, "me/catching", "--private")
-    assert code == 0, err
-    assert f"{hub.url}/{DATASET}" in out
+    assert f"{hub.url}/{DATASET}" in push(simulated, "me/catching", "--private").out
     repo = hub.repos[DATASET]
     assert repo.private
     assert {name: len(content) for name, content in repo.files.items()} == {
@@ -130,14 +110,14 @@ def test_every_file_arrives_both_tags_are_set_and_pushing_again_changes_nothing(
     assert repo.tags == {"v3.0": repo.head, f"dynahoi-{BENCHMARK_ID}": repo.head}
     commits = list(repo.commits)
     hub.requests.clear()
-    assert push(simulated, "me/catching", "--private")[0] == 0
+    push(simulated, "me/catching", "--private")
     assert list(repo.commits) == commits
     assert not [line for line in hub.requests if line.startswith("PUT")]
 
 
 @pytest.mark.slow
 def test_whoever_fetches_a_dataset_with_lerobot_gets_the_privileged_tables(
-    simulated: Path, hub: Hub, push: Push, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    simulated: Path, hub: Hub, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ):
     from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata, dataset_metadata
     from lerobot.datasets import lerobot_dataset as whole
@@ -145,7 +125,7 @@ def test_whoever_fetches_a_dataset_with_lerobot_gets_the_privileged_tables(
     for module in (dataset_metadata, whole):
         monkeypatch.setattr(module, "HF_LEROBOT_HUB_CACHE", tmp_path / "cache")
     monkeypatch.setattr(dataset_metadata, "HF_LEROBOT_HOME", tmp_path / "home")
-    assert push(simulated, "me/catching")[0] == 0
+    push(simulated, "me/catching")
     wanted = frame_column(simulated, "target.pose")
     for fetch in (
         lambda: LeRobotDataset("me/catching", episodes=[0]),
@@ -158,35 +138,35 @@ def test_whoever_fetches_a_dataset_with_lerobot_gets_the_privileged_tables(
     assert not (tmp_path / "streamed/data").exists()
 
 
-def test_an_interrupted_upload_goes_on(simulated: Path, hub: Hub, push: Push):
+def test_an_interrupted_upload_goes_on(simulated: Path, hub: Hub):
     hub.uploads_left = 2
-    refused(push(simulated, "me/catching"), "507 (storage is full)", in_one_line=False)
+    refused("507 (storage is full)", simulated, "me/catching", in_one_line=False)
     assert hub.repos[DATASET].files == {}
     before = set(hub.blobs)
     hub.uploads_left = None
     hub.requests.clear()
-    assert push(simulated, "me/catching")[0] == 0
+    push(simulated, "me/catching")
     sent = {line.rpartition("/")[2] for line in hub.requests if line.startswith("PUT")}
     assert len(before) == 2
     assert not sent & before
 
 
 def test_datasets_that_are_damaged_or_would_overwrite_something_else_are_refused(
-    simulated, tmp_path, hub, push
+    simulated, tmp_path, hub
 ):
     broken = shutil.copytree(simulated, tmp_path / "broken")
     (broken / "meta/tasks.parquet").unlink()
-    refused(push(broken, "me/catching"), "tasks.parquet is missing", in_one_line=False)
+    refused("tasks.parquet is missing", broken, "me/catching", in_one_line=False)
     assert hub.repos == {}
     push(simulated, "me/catching")
     repo = hub.repos[DATASET]
-    refused(push(simulated, "me/catching", "--private"), "is public")
+    refused("is public", simulated, "me/catching", "--private")
     for sha, held in (
         ("a", repo.files | {"meta/manifest.json": b"{}"}),
         ("b", {"thesis.pdf": b"years of work"}),
     ):
         repo.commits[sha * 40] = held
-        refused(push(simulated, "me/catching"), "me/catching holds")
+        refused("me/catching holds", simulated, "me/catching")
         assert repo.files == held
 
 
@@ -201,28 +181,26 @@ def test_datasets_that_are_damaged_or_would_overwrite_something_else_are_refused
         ("you/catching", TOKEN, "you/catching"),
     ],
 )
-def test_tokens_that_will_not_do(repo, token, said, *, checkpoint, hub, push, monkeypatch):
+def test_tokens_that_will_not_do(repo, token, said, *, checkpoint, hub, monkeypatch):
     monkeypatch.setenv("HF_TOKEN", token)
-    refused(push(checkpoint, repo), said)
+    refused(said, checkpoint, repo)
     assert hub.repos == {}
 
 
-def test_no_network(checkpoint: Path, push: Push, monkeypatch: pytest.MonkeyPatch):
+def test_no_network(checkpoint: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(constants, "ENDPOINT", "http://127.0.0.1:9")
-    refused(push(checkpoint, "me/policy"), "http://127.0.0.1:9")
+    refused("http://127.0.0.1:9", checkpoint, "me/policy")
 
 
-def test_names_folders_and_options_that_do_not_fit(
-    checkpoint: Path, tmp_path: Path, hub: Hub, push: Push
-):
+def test_names_folders_and_options_that_do_not_fit(checkpoint: Path, tmp_path: Path, hub: Hub):
     for name in ("catching", "a/b/c", "me/a b", ""):
-        refused(push(checkpoint, name), repr(name), 2)
+        refused(repr(name), checkpoint, name, code=2)
     assert hub.requests == []
     (tmp_path / "empty").mkdir()
-    refused(push(tmp_path / "empty", "me/catching"), "holds none of these", 2)
-    refused(push(checkpoint, "me/policy", "--policy", "me/x"), "--policy", 2)
+    refused("holds none of these", tmp_path / "empty", "me/catching", code=2)
+    refused("--policy", checkpoint, "me/policy", "--policy", "me/x", code=2)
     (checkpoint / "optimizer.pt").write_bytes(b"pickle")
-    refused(push(checkpoint, "me/policy"), "optimizer.pt is a pickle", 2)
+    refused("optimizer.pt is a pickle", checkpoint, "me/policy", code=2)
     assert hub.repos == {}
 
 
@@ -237,11 +215,11 @@ def test_names_folders_and_options_that_do_not_fit(
     ],
 )
 def test_a_checkpoint_without_a_card_gets_one_and_a_card_that_is_there_stays(
-    config, mode, *, checkpoint, hub, push
+    config, mode, *, checkpoint, hub
 ):
     (checkpoint / "config.json").write_text(json.dumps(config))
     before = sorted(path.name for path in checkpoint.iterdir())
-    assert push(checkpoint, "me/policy")[0] == 0
+    push(checkpoint, "me/policy")
     assert sorted(path.name for path in checkpoint.iterdir()) == before
     files = hub.repos[MODEL].files
     assert set(files) == {"README.md", "config.json", "model.safetensors", "train_config.json"}
@@ -260,51 +238,47 @@ def test_a_checkpoint_without_a_card_gets_one_and_a_card_that_is_there_stays(
 
 
 def test_other_weights_replace_the_old_ones_and_their_results_only_if_that_is_asked(
-    checkpoint, tmp_path, hub, push
+    checkpoint, tmp_path, hub
 ):
     push(checkpoint, "me/policy")
     push(write_split(tmp_path / "results", "test_small", range(110)), "me/policy")
     commits = list(hub.repos[MODEL].commits)
-    assert push(checkpoint, "me/policy", "--replace")[0] == 0
+    push(checkpoint, "me/policy", "--replace")
     assert list(hub.repos[MODEL].commits) == commits, "the same weights keep their results"
     (checkpoint / "model.safetensors").write_bytes(b"better weights")
     refused(
-        push(checkpoint, "me/policy"),
         "me/policy holds other weights (model.safetensors); choose another name",
+        checkpoint,
+        "me/policy",
     )
     assert list(hub.repos[MODEL].commits) == commits
-    assert push(checkpoint, "me/policy", "--replace")[0] == 0
+    push(checkpoint, "me/policy", "--replace")
     files = hub.repos[MODEL].files
     assert files["model.safetensors"] == b"better weights"
     assert not [name for name in files if "results" in name]
 
 
-def test_what_our_loader_refuses_is_not_uploaded(
-    checkpoint, actor, *, hub, push, monkeypatch, tmp_path
-):
+def test_what_our_loader_refuses_is_not_uploaded(checkpoint, actor, *, hub, monkeypatch, tmp_path):
     monkeypatch.setattr("dynahoi_lerobot.hub.load_policy", load_policy)
-    refused(push(checkpoint, "me/policy"), "model.safetensors cannot be read", 2)
+    refused("model.safetensors cannot be read", checkpoint, "me/policy", code=2)
     broken = shutil.copytree(actor, tmp_path / "broken")
     (broken / "policy_preprocessor.json").write_text(
         '{"steps": [{"class": "os.mkdir", "config": {"path": "x"}}]}'
     )
-    refused(push(broken, "me/policy"), "'os.mkdir'", 2)
+    refused("'os.mkdir'", broken, "me/policy", code=2)
     linked = shutil.copytree(actor, tmp_path / "linked")
     (linked / "notes").symlink_to("/etc/passwd")
-    refused(push(linked, "me/policy"), "notes is a link", 2)
+    refused("notes is a link", linked, "me/policy", code=2)
     assert hub.repos == {}
-    assert push(actor, "me/policy")[0] == 0
+    push(actor, "me/policy")
 
 
 def test_results_that_their_commands_do_not_lead_to_are_not_uploaded(
-    checkpoint, hub, push, monkeypatch, tmp_path
+    checkpoint, hub, monkeypatch, tmp_path
 ):
     push(checkpoint, "me/policy")
     monkeypatch.setattr("dynahoi_lerobot.hub.recipe_code", lambda _: "c1")
-    refused(
-        push(write_split(tmp_path / "results", "ood_speed", range(2)), "me/policy"),
-        "was not pushed",
-    )
+    refused("was not pushed", write_split(tmp_path / "results", "ood_speed", range(2)), "me/policy")
     assert names(hub) == set()
 
 
@@ -317,14 +291,14 @@ def names(hub: Hub) -> set[str]:
 
 
 def test_results_need_their_checkpoint_and_must_be_whole(
-    checkpoint: Path, tmp_path: Path, hub: Hub, push: Push
+    checkpoint: Path, tmp_path: Path, hub: Hub
 ):
     results = write_split(tmp_path / "results", "test_small", range(110))
-    refused(push(results, "me/policy"), "me/policy holds no checkpoint")
+    refused("me/policy holds no checkpoint", results, "me/policy")
     assert hub.repos == {}
     push(checkpoint, "me/policy")
     (results / "actions.npz").write_bytes(b"")
-    assert push(results, "me/policy")[0] == 2
+    push(results, "me/policy", code=2)
     assert names(hub) == set()
 
 
@@ -339,17 +313,12 @@ CONDITIONS: list[tuple[dict, str]] = [
 ]
 
 
-def test_results_under_other_rules_or_of_fewer_episodes_have_other_names(
-    checkpoint, tmp_path, hub, push
-):
+def test_results_under_other_rules_or_of_fewer_episodes_have_other_names(checkpoint, tmp_path, hub):
     push(checkpoint, "me/policy")
     for number, (options, _) in enumerate(CONDITIONS):
         seeds = options.get("seeds", range(110))
         rest = {k: v for k, v in options.items() if k != "seeds"}
-        code, _, err = push(
-            write_split(tmp_path / str(number), "test_small", seeds, **rest), "me/policy"
-        )
-        assert code == 0, err
+        push(write_split(tmp_path / str(number), "test_small", seeds, **rest), "me/policy")
     assert names(hub) == {name for _, name in CONDITIONS}
     push(
         write_split(tmp_path / "long", "test_small", range(2), extra={"settings": ["x" * 300]}),
@@ -360,14 +329,14 @@ def test_results_under_other_rules_or_of_fewer_episodes_have_other_names(
 
 @pytest.mark.parametrize("policy", ["you/other", "intercept", "outputs/gone/pretrained_model"])
 def test_results_of_another_policy_are_refused_unless_said_to_be_of_this_one(
-    policy, checkpoint, tmp_path, hub, push
+    policy, checkpoint, tmp_path, hub
 ):
     push(checkpoint, "me/policy")
     results = write_split(tmp_path / "results", "ood_speed", range(2), policy=policy)
     for said in ([], ["--policy", "you/third"]):
-        refused(push(results, "me/policy", *said), f"{results} is of {policy}")
+        refused(f"{results} is of {policy}", results, "me/policy", *said)
     assert names(hub) == set()
-    assert push(results, "me/policy", "--policy", policy)[0] == 0
+    push(results, "me/policy", "--policy", policy)
 
 
 @pytest.mark.parametrize(
@@ -381,21 +350,21 @@ def test_results_of_another_policy_are_refused_unless_said_to_be_of_this_one(
     ids=["its own", "others", "of an adapter", "of its base alone"],
 )
 def test_results_go_to_the_repository_with_the_weights_that_they_name(
-    weights: dict[str, str], code: int, checkpoint: Path, tmp_path: Path, push: Push
+    weights: dict[str, str], code: int, checkpoint: Path, tmp_path: Path
 ):
     push(checkpoint, "me/policy")
     digest = hashlib.sha256((checkpoint / "model.safetensors").read_bytes()).hexdigest()
     named = {name: value.replace("its own", digest) for name, value in weights.items()}
     results = write_split(tmp_path / "results", "ood_speed", range(2), extra={"weights": named})
-    assert push(results, "me/policy")[0] == code
+    push(results, "me/policy", code=code)
 
 
-def test_the_card_lists_the_results_once(checkpoint: Path, tmp_path: Path, hub: Hub, push: Push):
+def test_the_card_lists_the_results_once(checkpoint: Path, tmp_path: Path, hub: Hub):
     push(checkpoint, "me/policy")
     results = write_split(tmp_path / "results", "test_small", range(110))
-    assert push(results, "me/policy")[0] == 0
+    push(results, "me/policy")
     commits = list(hub.repos[MODEL].commits)
-    assert push(results, "me/policy")[0] == 0
+    push(results, "me/policy")
     assert list(hub.repos[MODEL].commits) == commits
     _, head, body = hub.repos[MODEL].files["README.md"].decode().split("---\n", 2)
     (model,) = yaml.safe_load(head)["model-index"]
@@ -407,25 +376,20 @@ def test_the_card_lists_the_results_once(checkpoint: Path, tmp_path: Path, hub: 
 
 @pytest.mark.slow
 def test_a_checkpoint_is_evaluated_by_its_name_and_its_results_stand_beside_it(
-    hub: Hub, push: Push, tmp_path: Path
+    hub: Hub, tmp_path: Path
 ):
     results = tmp_path / "results"
-    assert push(ROOT / "checkpoints/obact_standard", "me/policy")[0] == 0
-    assert (
-        main(["evaluate", "--policy", "me/policy", "--episodes", "2", "--out", str(results)]) == 0
-    )
-    assert push(results, "me/policy")[0] == 0
+    push(ROOT / "checkpoints/obact_standard", "me/policy")
+    dynahoi("evaluate", "--policy", "me/policy", "--episodes", "2", "--out", results)
+    push(results, "me/policy")
     files = hub.repos[MODEL].files
     head = json.loads((results / METRICS_FILE).read_text())
     assert "model.safetensors" in files
     name = f"{BENCHMARK_ID}_test_small_attach_standard_image_size_96_2_episodes"
     assert json.loads(files[f"results/{name}/{METRICS_FILE}"]) == head
-    assert push(ROOT / "checkpoints/obact_standard", "me/policy")[0] == 0, (
-        "results beside it are no obstacle"
-    )
+    push(ROOT / "checkpoints/obact_standard", "me/policy")  # results beside it are no obstacle
 
 
-@pytest.mark.usefixtures("push")
 def test_a_repository_is_checked_before_its_weights_are_fetched_of_the_same_commit(
     actor: Path, hub: Hub
 ):
@@ -463,14 +427,13 @@ def test_a_repository_is_checked_before_its_weights_are_fetched_of_the_same_comm
 
 
 def test_lerobot_makes_the_environment_that_was_pushed(
-    hub: Hub, push: Push, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    hub: Hub, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ):
     from lerobot.envs.factory import make_env
 
     monkeypatch.chdir(tmp_path)
-    code, out, err = push(ROOT / "envs/hub", "me/dynahoi-env")
-    assert code == 0, err
-    assert f"environment pushed to {hub.url}/me/dynahoi-env" in out
+    said = push(ROOT / "envs/hub", "me/dynahoi-env").out
+    assert f"environment pushed to {hub.url}/me/dynahoi-env" in said
     suites = make_env("me/dynahoi-env", n_envs=1, trust_remote_code=True)
     (env,) = [env for suite in suites.values() for env in suite.values() if env.task == "lob"]
     observation, _ = env.reset(seed=[0])

@@ -1,13 +1,13 @@
 """Result folders of made-up policies that play the same synthetic episodes with different skill."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK_ID
@@ -30,26 +30,23 @@ def play(
         miss = 0.0 if rng.random() < skill else float(rng.uniform(0.03, 0.3))
         episode = synthetic_episode(seed, LENGTHS[seed % len(LENGTHS)], image_size, miss)
         category, kind = PAIRS[seed % len(PAIRS)]
-        changes = {"category": category, "motion": kind, "split": "test_small"} | meta_changes
-        meta = replace(episode.meta, capture=capture, **changes)
         travel = np.array([0.3, 0.1, 0.05], np.float32) * (0.1 + 0.4 * (seed % 5)) ** 1.5
-        action = episode.action + rng.normal(0, 0.004 * (1.2 - skill), episode.action.shape).astype(
-            np.float32
-        )
+        noise = rng.normal(0, 0.004 * (1.2 - skill), episode.action.shape)
         stage = episode.stage
         if capture == "contact":
-            stage = (
-                str(rng.choice(["missed", "touched", "enclosed", "slipped"])) if miss else "held"
-            )
-        start = episode.palm_pos_h[episode.meta.window_frames]
-        yield replace(
-            episode,
-            meta=meta,
-            action=action,
-            stage=stage,
-            success=not miss,
-            intercept_pos_h=start + travel,
-        )
+            failures = ["missed", "touched", "enclosed", "slipped"]
+            stage = str(rng.choice(failures)) if miss else "held"
+        values = {
+            "split": "test_small",
+            "category": category,
+            "motion": kind,
+            "capture": capture,
+            "action": episode.action + noise.astype(np.float32),
+            "stage": stage,
+            "success": not miss,
+            "intercept_pos_h": episode.palm_pos_h[episode.meta.window_frames] + travel,
+        }
+        yield changed(episode, values | meta_changes)
 
 
 def example_run(

@@ -2,23 +2,23 @@
 read.
 """
 
-import io
 import re
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
 
 from dynahoi_lerobot import __version__
-from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.compare import compare
+from dynahoi_lerobot.evaluate.summary import Estimate
 from dynahoi_lerobot.evaluate.table import columns_for, metrics_table
-from dynahoi_lerobot.metrics import METRICS
 from dynahoi_lerobot.report import figures
 from dynahoi_lerobot.report.entries import Entry, read_entries
 from dynahoi_lerobot.report.export import ranges, write_csv, write_latex
 from tests.report.example_runs import example_run
+from tests.tools import dynahoi
 
 ODD = "#1 a & 50% $x_y^{2}$ ~ [0] é"
 
@@ -39,48 +39,37 @@ def lines(entries: list[Entry], tmp_path_factory: pytest.TempPathFactory) -> pd.
     return pd.read_csv(path, comment="#").fillna({"category": "", "against": ""})
 
 
-def close(number: float, wanted: float | None) -> bool:
-    return pd.isna(number) if wanted is None else number == pytest.approx(wanted, abs=1e-12)
+def check_lines(lines: pd.DataFrame, wanted: dict[Any, Estimate]) -> None:
+    """Lines of the file, by their index, must be ``wanted`` and nothing else."""
+    frame = pd.DataFrame.from_dict({key: vars(found) for key, found in wanted.items()}, "index")
+    found = lines[frame.columns].sort_index()
+    frame = frame.astype(found.dtypes).sort_index()
+    pd.testing.assert_frame_equal(found, frame, check_names=False, rtol=0.0, atol=1e-12)
 
 
 def test_csv_has_every_estimate_of_all_episodes_and_by_category(
     entries: list[Entry], lines: pd.DataFrame
 ):
+    lines = lines[lines.table != "pair"]
     for entry in entries:
+        own = lines[lines.policy == entry.label]
+        assert set(own.capture) == {entry.results.info.capture}
         groups = {"": entry.results.summary} | entry.results.by("category")
         for category, summary in groups.items():
-            chosen = lines[(lines.policy == entry.label) & (lines.category == category)]
-            chosen = chosen[chosen.table != "pair"].set_index("metric")
-            assert set(chosen.index) == set(METRICS.names())
-            for name, found in summary.items():
-                row = chosen.loc[name]
-                assert close(row.value, found.value)
-                assert close(row.low, found.low)
-                assert close(row.high, found.high)
-                assert (row.n, row.unit) == (found.n, found.unit)
-                assert row.capture == entry.results.info.capture
+            check_lines(own[own.category == category].set_index("metric"), summary)
 
 
 def test_csv_has_every_pair_once_with_interval_number_and_p(
     entries: list[Entry], lines: pd.DataFrame
 ):
-    pairs = lines[lines.table == "pair"].set_index(["policy", "against", "metric"])
-    assert pairs.index.is_unique
-    wanted = [
-        (a, b, name)
+    wanted = {
+        (a.label, b.label, name): compare(a.results, b.results, name)
         for a, b in combinations(entries, 2)
         for name in ("S_loc", "S_joint", "E_loc", "commands")
         if a.results.info.capture == b.results.info.capture
-    ]
-    assert len(pairs) == len(wanted) == 4
-    for a, b, name in wanted:
-        found = compare(a.results, b.results, name)
-        row = pairs.loc[a.label, b.label, name]
-        assert (row.value, row.low, row.high) == pytest.approx(
-            (found.value, found.low, found.high), abs=1e-12
-        )
-        assert row.n == found.n == 40
-        assert close(row.p_value, found.p_value)
+    }
+    assert [found.n for found in wanted.values()] == [40] * 4
+    check_lines(lines[lines.table == "pair"].set_index(["policy", "against", "metric"]), wanted)
 
 
 def test_a_comment_says_which_seeds_and_versions(entries: list[Entry], tmp_path: Path):
@@ -151,16 +140,15 @@ def test_latex_has_the_numbers_of_the_page(entries: list[Entry], tmp_path: Path)
 
 
 def test_the_command_writes_both_and_refuses_folders_first(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(figures, "FIGURES", {})
     example_run(tmp_path / "a", "a", 0.9, 6)
-    words = ["report", str(tmp_path / "a"), "--out", str(tmp_path / "report.html")]
-    assert main([*words, "--csv", str(tmp_path / "t.csv"), "--latex", str(tmp_path / "t.tex")]) == 0
-    capsys.readouterr()
-    read = pd.read_csv(io.StringIO((tmp_path / "t.csv").read_text()), comment="#")
+    words = ["report", tmp_path / "a", "--out", tmp_path / "report.html"]
+    dynahoi(*words, "--csv", tmp_path / "t.csv", "--latex", tmp_path / "t.tex")
+    read = pd.read_csv(tmp_path / "t.csv", comment="#")
     assert set(read.table) == {"main", "category"}, "one evaluation has no pairs"
     assert r"\begin{tabular}" in (tmp_path / "t.tex").read_text()
     for name in ("--csv", "--latex"):
-        assert main([*words, name, str(tmp_path / "a")]) == 2
-        assert f"{name} must name a file" in capsys.readouterr().err
+        said = dynahoi(*words, name, tmp_path / "a", code=2).err
+        assert f"{name} must name a file" in said

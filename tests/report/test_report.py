@@ -11,7 +11,6 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.gif import write_gif
 from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.evaluate.table import Table, columns_for, metric_cell
@@ -27,7 +26,7 @@ from dynahoi_lerobot.report.entries import (
 from dynahoi_lerobot.report.page import clips_of, comparison_tables, page_content
 from tests.report.example_runs import example_run
 from tests.synthetic import run_info
-from tests.tools import edit_json
+from tests.tools import dynahoi, edit_json
 
 HOSTILE = (
     "<script>alert('x')</script><img src=https://evil.example/a.png onerror=alert(1)>\"&{{ "
@@ -126,7 +125,7 @@ def unfinished(root: Path) -> list[Path]:
     example_run(root / "damaged", "p", 0.5, 4)
     (root / "damaged" / "actions.npz").write_bytes(b"half")
     example_run(root / "older", "p", 0.5, 4)
-    edit_json(root / "older" / "metrics.json", lambda head: head.update(schema=0))
+    edit_json(root / "older" / "metrics.json", schema=0)
     example_run(root / "begun", "p", 0.5, 4)
     (root / "begun" / "metrics.json").unlink()
     (root / "empty").mkdir()
@@ -135,19 +134,17 @@ def unfinished(root: Path) -> list[Path]:
 
 
 def test_folders_that_cannot_be_read_are_left_out_with_a_word_each(
-    tmp_path: Path, runs: Path, capsys: pytest.CaptureFixture[str], monkeypatch
+    tmp_path: Path, runs: Path, monkeypatch
 ):
     monkeypatch.setattr(figures, "FIGURES", {})
     bad = unfinished(tmp_path)
-    words = ["report", "--out", str(tmp_path / "report.html"), *map(str, bad)]
-    assert main([*words, str(runs / "strong"), str(runs / "weak")]) == 0
-    out, err = capsys.readouterr()
+    words = ["report", "--out", tmp_path / "report.html", *bad]
+    out, err = dynahoi(*words, runs / "strong", runs / "weak")
     for path in bad:
         assert sum(f"/{path.name}" in line for line in err.splitlines()) == 1
     assert len(err.splitlines()) == len(bad)
     assert "strong" in out
-    assert main(words) == 2, "nothing is left"
-    assert len(capsys.readouterr().err.splitlines()) == 1
+    assert len(dynahoi(*words, code=2).err.splitlines()) == 1, "nothing is left"
 
 
 # -- figures ---------------------------------------------------------------------------------------
@@ -363,7 +360,7 @@ def test_clips_are_the_first_gifs_of_the_folder_itself(
 
 
 def test_evaluations_under_other_conditions_are_paired_only_where_that_is_asked_for(
-    tmp_path, capsys, monkeypatch
+    tmp_path, monkeypatch
 ):
     monkeypatch.setattr(figures, "FIGURES", {"main": FIGURES["main"]})
     example_run(tmp_path / "a", "a", 0.9, 8, recipe={"render_noise": 0})
@@ -371,16 +368,15 @@ def test_evaluations_under_other_conditions_are_paired_only_where_that_is_asked_
     example_run(tmp_path / "old", "old", 0.5, 4, benchmark="v0")
     out = tmp_path / "report.html"
 
-    def report(*words: str) -> str:
-        assert main(["report", str(tmp_path / "a"), *words, "--out", str(out)]) == 0
-        return capsys.readouterr().out + out.read_text()
+    def report(*words: object) -> str:
+        return dynahoi("report", tmp_path / "a", *words, "--out", out).out + out.read_text()
 
-    told = report(str(tmp_path / "b"))
+    told = report(tmp_path / "b")
     assert "--across render_noise" in told
     assert "Paired comparison" not in told
-    told = report(str(tmp_path / "b"), "--across", "render_noise")
+    told = report(tmp_path / "b", "--across", "render_noise")
     assert "a minus a, noise 2, 8 episodes" in told
     assert "Paired comparison" in told
-    assert main(["report", str(tmp_path / "a"), str(tmp_path / "old")]) == 2
-    assert "has benchmark 'v0'" in capsys.readouterr().err
-    assert "v0" in report(str(tmp_path / "old"), "--allow-version-mismatch")
+    said = dynahoi("report", tmp_path / "a", tmp_path / "old", code=2).err
+    assert "has benchmark 'v0'" in said
+    assert "v0" in report(tmp_path / "old", "--allow-version-mismatch")

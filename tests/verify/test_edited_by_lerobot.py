@@ -14,13 +14,12 @@ from lerobot.datasets.dataset_tools import (
 )
 from lerobot.scripts.lerobot_edit_dataset import OperationConfig
 
-from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.dataset import open_dataset, read_episodes
 from dynahoi_lerobot.dataset.store import frame_column
 from dynahoi_lerobot.dataset.video import Encoding
 from dynahoi_lerobot.verify.command import verify
 from tests.dataset.episodes import write
-from tests.tools import edit_json, generated, run
+from tests.tools import dynahoi, edit_json, generated, run
 from tests.verify.test_forgeries import DATA, INFO, VIDEO, column, told
 
 pytestmark = pytest.mark.slow  # LeRobot takes long to import
@@ -118,9 +117,7 @@ def test_quantiles_that_are_not_those_of_the_actions_are_said(shorter: Path):
     assert "100% of the numbers in 'action' lie outside" in finding.message
 
 
-def test_a_column_that_lerobots_conversion_leaves_out_is_named_with_its_file(
-    tmp_path: Path, capsys: pytest.CaptureFixture
-):
+def test_a_column_that_lerobots_conversion_leaves_out_is_named_with_its_file(tmp_path: Path):
     words = ("--image-size", "32", "--codec", "images", "--motions", "constant", "--episodes", "1")
     source = generated(tmp_path / "images", *words)
     converted = tmp_path / "converted"
@@ -129,6 +126,5 @@ def test_a_column_that_lerobots_conversion_leaves_out_is_named_with_its_file(
     file = converted / "meta/episodes/chunk-000/file-000.parquet"
     sentence = f"{file} cannot be read: it has no column 'tasks'"
     assert any(sentence in message for message in found), found
-    out = str(tmp_path / "x.gif")
-    assert main(["view", "--dataset", str(converted), "--episode", "0", "--out", out]) == 2
-    assert sentence in capsys.readouterr().err
+    words = ("--dataset", converted, "--episode", 0, "--out", tmp_path / "x.gif")
+    assert sentence in dynahoi("view", *words, code=2).err

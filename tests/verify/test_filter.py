@@ -1,21 +1,21 @@
 """``dynahoi filter`` copies all episodes but outliers and those it is told to leave out."""
 
+import shutil
 from itertools import cycle, islice
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
-from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.dataset import open_dataset, write_episodes
 from dynahoi_lerobot.dataset.manifest import Manifest, hash_files
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.verify.command import verify
 from dynahoi_lerobot.verify.filter import find_outliers
-from tests.dataset.episodes import changed, varied_episode, write
-from tests.verify.test_forgeries import DATA, ROWS, TRUTH
+from tests.dataset.episodes import changed, varied_episode
+from tests.tools import dynahoi
+from tests.verify.test_forgeries import DATA, ROWS, TRUTH, Forgery, column, table
 
 SENTENCE = "episode 7: action.thumb_tip.pos reaches 2.200, outside -0.500 to 1.500 in 1 frame"
 
@@ -30,17 +30,13 @@ def with_outlier(tmp_path_factory) -> Path:
     return root
 
 
-def run(*words: object) -> int:
-    return main(["filter", *map(str, words)])
-
-
 def test_outliers_are_named(with_outlier):
     assert find_outliers(with_outlier, margin=0.5) == {7: SENTENCE}
     assert find_outliers(with_outlier, margin=2.0) == {}
     assert find_outliers(with_outlier, margin=0.5, column="observation.state") == {}
 
 
-def test_nan_is_an_outlier_but_a_column_that_is_often_nan_has_no_range(tmp_path, capsys):
+def test_nan_is_an_outlier_but_a_column_that_is_often_nan_has_no_range(tmp_path):
     first, second, *others = (varied_episode(seed, None) for seed in range(6))
     second = changed("action", (4, 2), np.nan)(second)
     write_episodes(tmp_path / "many", [first, second, *others])
@@ -48,14 +44,14 @@ def test_nan_is_an_outlier_but_a_column_that_is_often_nan_has_no_range(tmp_path,
     assert episode == 1
     assert "action.palm_z.pos reaches nan" in sentence
     write_episodes(tmp_path / "few", [first, second])
-    assert run(tmp_path / "few", "--dry-run") == 2
-    assert "action is often not finite" in capsys.readouterr().err
+    said = dynahoi("filter", tmp_path / "few", "--dry-run", code=2).err
+    assert "action is often not finite" in said
 
 
-def test_all_others_are_copied_and_lerobot_reads_them(with_outlier, tmp_path, capsys):
+def test_all_others_are_copied_and_lerobot_reads_them(with_outlier, tmp_path):
     before = hash_files(with_outlier)
-    assert run(with_outlier, "--out", tmp_path / "new", "--margin", 0.5) == 0
-    assert SENTENCE in capsys.readouterr().out
+    words = ["filter", with_outlier, "--out", tmp_path / "new", "--margin", 0.5]
+    assert SENTENCE in dynahoi(*words).out
     kept = [seed for seed in range(12) if seed != 7]
     opened = open_dataset(tmp_path / "new")
     assert opened.meta.episodes["seed"] == kept
@@ -70,34 +66,44 @@ def test_all_others_are_copied_and_lerobot_reads_them(with_outlier, tmp_path, ca
     assert hash_files(with_outlier) == before
 
 
-def test_a_dry_run_names_them_and_writes_nothing(with_outlier, tmp_path, capsys):
-    assert run(with_outlier, "--margin", 0.5, "--dry-run", "--out", tmp_path / "new") == 0
-    assert SENTENCE in capsys.readouterr().out
+def test_a_dry_run_names_them_and_writes_nothing(with_outlier, tmp_path):
+    words = ["filter", with_outlier, "--margin", 0.5, "--dry-run", "--out", tmp_path / "new"]
+    assert SENTENCE in dynahoi(*words).out
     assert not any(tmp_path.iterdir())
 
 
 def test_named_episodes_are_left_out(with_outlier, tmp_path):
-    assert run(with_outlier, "--out", tmp_path / "new", "--drop", "0,3") == 0
+    dynahoi("filter", with_outlier, "--out", tmp_path / "new", "--drop", "0,3")
     assert [row["seed"] for row in Store(tmp_path / "new").rows] == [1, 2, *range(4, 12)]
 
 
-COLUMNS = [
-    (ROWS, {"tasks": [0.5]}, "its column tasks is of type double; it must be list<"),
-    (ROWS, {"benchmark": [None]}, "benchmark must be a valid string, got None"),
-    (TRUTH, {"frame_index": [0]}, "privileged tables of other episodes"),
-    (DATA, {"action": [[0.0] * 17, [0.0] * 18]}, "its column action is of"),
+def retyped(path: str, key: str, values: list) -> Forgery:
+    """Return a function that fills a column of a table with values of any type, over and over."""
+
+    def change(found: pa.Table) -> pa.Table:
+        column = pa.array(islice(cycle(values), len(found)))
+        return found.set_column(found.schema.get_field_index(key), key, column)
+
+    return table(path, change)
+
+
+DAMAGES: list[tuple[Forgery, str]] = [
+    (lambda root: (root / "meta/manifest.json").unlink(), "meta/manifest.json is missing"),
+    (lambda root: shutil.rmtree(root / "data"), "there is no file in data"),
+    (column(DATA, "index", lambda numbers: numbers[::-1]), "holds its frames in another order"),
+    (retyped(ROWS, "tasks", [0.5]), "its column tasks is of type double; it must be list<"),
+    (retyped(ROWS, "benchmark", [None]), "benchmark must be a valid string, got None"),
+    (retyped(TRUTH, "frame_index", [0]), "privileged tables of other episodes"),
+    (retyped(DATA, "action", [[0.0] * 17, [0.0] * 18]), "its column action is of"),
 ]
-"""A table, values of a column, over and over, and what is said."""
 
 
-@pytest.mark.parametrize(("path", "change", "sentence"), COLUMNS)
-def test_columns_of_other_types_are_named(path, change, sentence, tmp_path, capsys):
-    root = write(tmp_path / "d", range(2), image_size=0)
-    held = pq.read_table(root / path)
-    columns = {name: held[name] for name in held.schema.names}
-    for name, values in change.items():
-        columns[name] = pa.array(list(islice(cycle(values), len(held))))
-    pq.write_table(pa.table(columns), root / path)
-    assert run(root, "--out", tmp_path / "new", "--drop", "0") == 2
-    assert sentence in capsys.readouterr().err
-    assert not (tmp_path / "new").exists()
+@pytest.mark.parametrize(("damage", "sentence"), DAMAGES)
+def test_the_damaged_file_is_named(damage: Forgery, sentence: str, dataset: Path, tmp_path: Path):
+    broken = shutil.copytree(dataset, tmp_path / "broken")
+    damage(broken)
+    said = dynahoi("filter", broken, "--out", tmp_path / "out", code=2).err
+    assert sentence in said
+    assert str(broken) in said
+    assert said.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["broken"]

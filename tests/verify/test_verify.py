@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynahoi_lerobot.cli.main import main
+from dynahoi_lerobot.core import nested
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.dataset import read_episodes
 from dynahoi_lerobot.dataset.store import Store
@@ -22,7 +22,7 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.verify.command import drawn_evenly, verify
 from dynahoi_lerobot.verify.verdicts import verdict_problems
 from tests.dataset.episodes import changed, rewrite, sign
-from tests.tools import edit_json, flip_byte, generated
+from tests.tools import dynahoi, edit_json, flip_byte, generated
 from tests.verify.test_forgeries import DATA, ROWS, column
 
 RECIPE = Recipe.of(motions=("constant", "lob"), image_size=32)
@@ -57,10 +57,9 @@ def contact(tmp_path_factory) -> Path:
 
 
 @pytest.mark.parametrize("variant", ["derived", "contact"])
-def test_what_was_generated_is_sound_and_replays_to_the_same_bytes(variant, request, capsys):
-    root = request.getfixturevalue(variant)
-    assert main(["verify", str(root), "--replay", "2"]) == 0
-    assert "2 of the 2 videos replayed are equal byte for byte" in capsys.readouterr().out
+def test_what_was_generated_is_sound_and_replays_to_the_same_bytes(variant, request):
+    said = dynahoi("verify", request.getfixturevalue(variant), "--replay", "2").out
+    assert "2 of the 2 videos replayed are equal byte for byte" in said
 
 
 FILES: dict[str, Callable[[Path], object]] = {
@@ -98,10 +97,9 @@ def test_without_lerobot_all_else_is_checked(copy, monkeypatch):
     assert found(copy) == {"format"}
 
 
-def meta(**values: object) -> Callable[[Episode], Episode]:
-    return lambda episode: dataclasses.replace(
-        episode, meta=dataclasses.replace(episode.meta, **values)
-    )
+def with_values(**values: object) -> Callable[[Episode], Episode]:
+    """Return a function that changes fields of an episode or its meta."""
+    return lambda episode: nested.changed(episode, values)
 
 
 VERDICTS: dict[str, Callable[[Episode], Episode]] = {
@@ -115,7 +113,7 @@ VERDICTS: dict[str, Callable[[Episode], Episode]] = {
     "localised before": changed("localized", slice(5, None), True),
     "captured before": changed("captured", slice(5, None), True),
     "a success before": changed("succeeded", slice(5, None), True),
-    "another stage": lambda episode: dataclasses.replace(episode, stage="missed"),
+    "another stage": with_values(stage="missed"),
     "no number": changed("action", (4, 2), np.nan),
 }
 
@@ -134,7 +132,7 @@ def test_verdicts_that_do_not_follow_are_found(sound):
     ("variant", "forge"),
     [
         ("sound", VERDICTS["a nearer palm"]),
-        ("sound", meta(capture="magic")),
+        ("sound", with_values(capture="magic")),
         ("contact", changed("touch", 3, 5.0)),
     ],
     ids=["palm", "rule", "force"],
@@ -197,7 +195,7 @@ REPLAYS: dict[str, Callable[[Episode], Episode]] = {
     "another mass": lambda episode: dataclasses.replace(
         episode, object_mass_kg=episode.object_mass_kg * 1.01
     ),
-    "another seed": meta(seed=5),
+    "another seed": with_values(seed=5),
 }
 
 
@@ -260,21 +258,18 @@ def test_what_is_replayed_is_drawn_evenly_from_all_kinds_of_motion(dataset):
     assert drawn_evenly(store, 99, rng) == list(range(6))
 
 
-def test_the_command_counts_and_shortens_and_writes_what_it_found(copy, tmp_path, capsys):
+def test_the_command_counts_and_shortens_and_writes_what_it_found(copy, tmp_path):
     for name in ("\x1b[31m", *range(9)):
         (copy / f"data/{name}.txt").touch()
-    assert main(["verify", str(copy), "--json", str(tmp_path / "findings.json")]) == 1
-    told = capsys.readouterr().out
+    told = dynahoi("verify", copy, "--json", tmp_path / "findings.json", code=1).out
     assert "\x1b" not in told
     assert "and 5 more" in told
     assert len(json.loads((tmp_path / "findings.json").read_text())) == 6
 
 
-def test_three_episodes_are_played_again_unless_told_otherwise(sound, capsys):
-    assert main(["verify", str(sound)]) == 0
-    assert "replaying the episodes" in capsys.readouterr().out
-    assert main(["verify", str(sound), "--replay", "0"]) == 0
-    assert "replaying" not in capsys.readouterr().out
+def test_three_episodes_are_played_again_unless_told_otherwise(sound):
+    assert "replaying the episodes" in dynahoi("verify", sound).out
+    assert "replaying" not in dynahoi("verify", sound, "--replay", "0").out
 
 
 def test_a_dataset_that_cannot_be_played_again_says_so(tmp_path):

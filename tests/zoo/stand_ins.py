@@ -120,7 +120,7 @@ def save_openvla(folder: Path, size: int) -> None:
         "AutoProcessor": "x.PrismaticProcessor",
     }
     remote |= {"AutoModelForVision2Seq": "modeling_prismatic.OpenVLAForActionPrediction"}
-    edit_json(folder / "config.json", lambda config: config.update(auto_map=remote))
+    edit_json(folder / "config.json", auto_map=remote)
     tower = {
         "input_sizes": [3, 32, 32],
         "interpolations": "bicubic",
