@@ -132,19 +132,6 @@ def test_a_server_without_structured_output_is_asked_without():
     assert ["response_format" in exchange.body for exchange in seen] == [True, False, False]
 
 
-def test_a_busy_server_is_asked_again_after_the_pause_it_asks_for():
-    def handler(exchange: Exchange) -> None:
-        exchange.say(answer()) if exchange.number else exchange.send(
-            {}, 429, **{"Retry-After": "1"}
-        )
-
-    with serving(handler) as (url, _):
-        client = VlmClient("tiny", url)
-        start = time.monotonic()
-        assert client.plan([SEEN])[0][0] is not None
-        assert time.monotonic() - start >= 1.0
-
-
 FAILURES: dict[str, tuple[Handler, str]] = {
     "silence": (lambda e: time.sleep(2.0), "TimeoutError"),
     "a pause beyond the deadline": (
