@@ -35,11 +35,15 @@ POSE_DRIFT_M = 1e-4
 POSE_DRIFT_RAD = 3e-4
 
 
-def passing(spec: EpisodeSpec, speed_m_s: float, miss_m: float, at_s: float) -> EpisodeSpec:
-    """The episode with a target that passes ``miss_m`` in front of the waiting palm at ``at_s``,
-    along y.
-    """
-    motion = Constant(tuple(HOME_W + [miss_m, 0.0, 0.0]), (0.0, 1.0, 0.0), at_s, speed_m_s, 0.0)
+def passing(
+    spec: EpisodeSpec,
+    speed_m_s: float,
+    miss_m: float,
+    at_s: float,
+    way: tuple[float, float, float] = (0.0, 1.0, 0.0),
+) -> EpisodeSpec:
+    """The episode with a target that passes ``miss_m`` in front of the waiting palm at ``at_s``."""
+    motion = Constant(tuple(HOME_W + [miss_m, 0.0, 0.0]), way, at_s, speed_m_s, 0.0)
     path = motion.position(np.arange(spec.horizon_frames) * CONTROL_DT)
     return replace(spec, motion=motion, home_pos_w=HOME_W, target_path_w=path)
 
@@ -122,12 +126,8 @@ def test_a_welded_target_leaves_its_string_and_its_table(specs: list[EpisodeSpec
     assert np.linalg.norm(offset, axis=1).max() < LOCALIZATION_RADIUS_M
 
 
-@pytest.mark.parametrize(
-    ("share", "verdict"), [(0.91, True), (0.89, False), (-1.0, False), (1.19, True), (1.21, False)]
-)
-def test_the_grasp_is_judged_at_the_first_localised_frame_and_from_both_sides(
-    share: float, verdict: bool
-):
+@pytest.mark.parametrize(("share", "verdict"), [(0.91, True), (0.89, False)])
+def test_the_grasp_is_judged_at_the_first_localised_frame(share: float, verdict: bool):
     reference = np.linspace(0.5, 1.5, 15)
     joints = np.tile(reference, (6, 1))
     joints[3, 11] *= share  # one joint short, at the frame that counts; full everywhere else
@@ -204,17 +204,14 @@ def constant() -> EpisodeSpec:
 
 
 def flying(
-    spec: EpisodeSpec, speed_m_s: float, kind: str = "ball", seed: int = 0, friction: float = 0.8
+    spec: EpisodeSpec, speed_m_s: float, kind: str = "ball", friction: float = 0.8
 ) -> EpisodeSpec:
     """The episode with an object that comes straight at the waiting palm and would be at its center
     after 0.5 s.
     """
-    motion = Constant(tuple(HOME_W), (-1.0, 0.0, 0.0), 0.5, speed_m_s, 0.0)
-    path = motion.position(np.arange(spec.horizon_frames) * CONTROL_DT)
-    target = replace(OBJECTS[kind].sample(np.random.default_rng(seed)), friction=friction)
-    return replace(
-        spec, motion=motion, target=target, home_pos_w=HOME_W, target_path_w=path, window_frames=2
-    )
+    target = replace(OBJECTS[kind].sample(np.random.default_rng(0)), friction=friction)
+    comes = passing(spec, speed_m_s, 0.0, 0.5, way=(-1.0, 0.0, 0.0))
+    return replace(comes, target=target, window_frames=2)
 
 
 def energy_j(batch: WorldBatch, specs: list[EpisodeSpec]) -> np.ndarray:
@@ -291,10 +288,6 @@ def test_the_touch_of_the_first_frame_is_the_mean_over_it(constant: EpisodeSpec)
         touched |= batch.contacts.by_hand
 
 
-def caught(specs: list[EpisodeSpec], expert: str = "match") -> list[Episode]:
-    return list(evaluate(WorldBatch(RECIPE.rules, 8, threads=1), EXPERTS[expert](), specs))
-
-
 def test_the_expert_holds_nearly_everything_at_its_first_attempt(contact_episodes: list[Episode]):
     assert sum(episode.success for episode in contact_episodes) >= 21
     for episode in contact_episodes:
@@ -303,9 +296,9 @@ def test_the_expert_holds_nearly_everything_at_its_first_attempt(contact_episode
 
 
 def test_a_hand_that_stays_open_holds_nothing():
-    assert not any(
-        episode.success for episode in caught(sample_specs(RECIPE, range(4)), expert="hold")
-    )
+    batch = WorldBatch(RECIPE.rules, 4, threads=1)
+    episodes = evaluate(batch, EXPERTS["hold"](), sample_specs(RECIPE, range(4)))
+    assert not any(episode.success for episode in episodes)
 
 
 # -- the verdict -----------------------------------------------------------------------------------

@@ -5,12 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lerobot.datasets import LeRobotDataset
 
-from dynahoi_lerobot.core.features import IMAGE_PREFIX
 from dynahoi_lerobot.core.image_sensor import image_sensor
 from dynahoi_lerobot.dataset import episode_column, frame_column, read_episodes
-from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
+from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.encode import SIGHTINGS_PREFIX, encode
 from dynahoi_lerobot.evaluate.checkpoint import trained_for
@@ -56,19 +54,9 @@ def test_what_policies_must_not_see_is_read_back(dataset: Path, encoded: Path):
         np.testing.assert_array_equal(frame_column(encoded, key), frame_column(dataset, key))
 
 
-def test_lerobot_reads_windows_of_it_and_no_images(encoded: Path):
-    key = SIGHTINGS_PREFIX + "ego"
-    found = LeRobotDataset("local/x", root=encoded, delta_timestamps={key: [-0.05, 0.0, 0.05]})
-    sample = found[3]
-    assert sample[key].shape == (3, 5)
-    assert not [name for name in sample if name.startswith(IMAGE_PREFIX)]
-    assert set(found.meta.stats[key]) >= {"mean", "std", "q99"}
-
-
 def test_it_is_signed_anew(dataset: Path, encoded: Path):
     before = Manifest.read(dataset)
     after = Manifest.read(encoded)
-    assert not list(file_problems(encoded, after))
     assert after.provenance["encoded"] == {"sensor": "eye", "from": before.digest}
     assert (after.seeds, after.benchmark) == (before.seeds, before.benchmark)
 

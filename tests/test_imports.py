@@ -175,12 +175,6 @@ def test_what_lerobot_may_rename_is_imported_in_one_module():
     assert {name for name in found if name.split(".")[0] == "lerobot"} <= DOCUMENTED
 
 
-def test_every_folder_is_a_room():
-    folders = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
-    modules = {path.stem for path in PACKAGE.glob("*.py")} - {"__init__"}
-    assert folders | modules == set(ROOMS)
-
-
 @pytest.mark.parametrize(
     ("package", "least"), [("dynahoi_lerobot", 100), ("dynahoi_lerobot.dataset", 8)]
 )

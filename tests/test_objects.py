@@ -5,6 +5,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+from scipy.stats import qmc
 
 from dynahoi_lerobot.core.numerics import quat_to_matrix
 from dynahoi_lerobot.hands import HANDS
@@ -21,9 +22,6 @@ NAMES = OBJECTS.names()
 IN_DISTRIBUTION = BENCHMARK.splits["train"].objects
 DRAWS = 200
 POINTS = 20_000
-ADDITIVE = 1.22074408460575947536 ** -np.arange(1.0, 4.0)
-"""Powers of the root of x^4 = x + 1: multiples of them modulo 1 fill the unit cube evenly (the R3
-sequence)."""
 
 
 def draws(name: str, count: int = DRAWS) -> list[TargetObject]:
@@ -88,9 +86,7 @@ def test_the_origin_is_its_center_of_mass(name: str):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_inertia_is_what_mujoco_computes_from_its_solids(name: str):
-    """Both count what solids share twice. MuJoCo's is about the center of mass and is shifted here
-    to the origin.
-    """
+    """Both count what solids share twice."""
     for target in draws(name, 5):
         inertia = _mujoco_inertia(target)
         np.testing.assert_allclose(np.diag(inertia), target.inertia, rtol=1e-6)
@@ -144,8 +140,8 @@ def _extent(target: TargetObject) -> np.ndarray:
 def _mujoco_inertia(target: TargetObject) -> np.ndarray:
     """(3, 3) inertia [kg m^2] about the object's origin, as MuJoCo's compiler finds it."""
     spec = mujoco.MjSpec()
-    spec.compiler.degree = False
     body = spec.worldbody.add_body()
+    body.add_freejoint()
     for primitive in target.primitives:
         body.add_geom(
             type=SHAPES[primitive.shape],
@@ -154,11 +150,11 @@ def _mujoco_inertia(target: TargetObject) -> np.ndarray:
             quat=primitive.quat,
         )
     model = spec.compile()
-    axes = quat_to_matrix(model.body_iquat[1])
-    offset = model.body_ipos[1]
-    own = axes @ np.diag(model.body_inertia[1]) @ axes.T
-    shift = model.body_mass[1] * (offset @ offset * np.eye(3) - np.outer(offset, offset))
-    return (own + shift) * target.mass_kg / model.body_mass[1]
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    inertia = np.zeros((6, 6))
+    mujoco.mj_fullM(model, data, inertia)
+    return inertia[3:, 3:] * target.mass_kg / model.body_mass[1]
 
 
 def _points_inside(target: TargetObject) -> np.ndarray:
@@ -166,7 +162,7 @@ def _points_inside(target: TargetObject) -> np.ndarray:
     any of its solids.
     """
     low, high = _extent(target)
-    points = low + (high - low) * ((np.arange(POINTS)[:, None] * ADDITIVE + 0.5) % 1.0)
+    points = low + (high - low) * qmc.Halton(3, seed=0).random(POINTS)
     inside = np.zeros(len(points), bool)
     for primitive in target.primitives:
         local = (points - primitive.pos) @ quat_to_matrix(np.asarray(primitive.quat))

@@ -1,4 +1,4 @@
-"""The project's Markdown pages as data: code spans, code blocks, commands."""
+"""The project's Markdown pages as data: blocks of code, code spans, commands."""
 
 import re
 import shlex
@@ -6,21 +6,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
+from markdown_it import MarkdownIt
+
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 PAGES += sorted([*(ROOT / "docs").glob("*.md"), *(ROOT / "docs/notes").glob("*.md")])
-FOLDERS = ("benchmarks", "checkpoints", "docs", "dynahoi_lerobot", "envs", "policies", "recipes")
-FOLDERS += ("tests", ".ci")
-"""Folders of the repository, in which a path in the text must be there."""
-
-FENCE = re.compile(r"^```(\w*|\{[\w-]+\}.*?)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-"""A block of code, or a directive of MyST: language, or name and argument, and body."""
-NEED = re.compile(r"<!-- not run: ([^>]+) -->\n\Z")
+NEED = re.compile(r"<!-- not run: (.+) -->")
 """A comment before a block of code that says why no test runs it."""
-SAVED = re.compile(r"[Ss]ave as `([^`]+)`:\n\n\Z")
-"""The end of a sentence before a block of code that is a file."""
-SPAN = re.compile(r"`([^`]+)`")
-CREATED = re.compile(r"(?:Create|[Ss]ave as) `([^`]+)`")
+SAVED = re.compile(r"[Ss]ave as `([^`]+)`:$")
+"""The end of a paragraph before a block of code that is a file."""
 PROGRAMS = (
     *("dynahoi", "lerobot-train", "lerobot-eval", "lerobot-edit-dataset", "lerobot-dataset-viz"),
     *("accelerate", "hf", "pip", "python", "pytest", "bash", "uv"),
@@ -29,9 +23,7 @@ PROGRAMS = (
 
 @dataclass(frozen=True)
 class Block:
-    """One block of code: what its fence names, the code, why no test runs it, the file that it
-    shall be saved as.
-    """
+    """One block of code: its language, the code, why no test runs it, the file to save it as."""
 
     language: str
     body: str
@@ -48,55 +40,29 @@ class Block:
 @dataclass(frozen=True)
 class Page:
     path: Path
-    text: str
+    blocks: list[Block]
+    spans: list[str]
+    """The code spans of the text, each on one line."""
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        return cls(path, path.read_text())
-
-    @property
-    def prose(self) -> str:
-        """The text without its code blocks."""
-        return FENCE.sub("", self.text)
-
-    @property
-    def all_blocks(self) -> list[Block]:
-        return [self._block(match) for match in FENCE.finditer(self.text)]
-
-    def _block(self, match: re.Match[str]) -> Block:
-        before = self.text[: match.start()]
-        need, file = (
-            found.group(1) if (found := rule.search(before)) else "" for rule in (NEED, SAVED)
-        )
-        return Block(match.group(1), match.group(2), need, file)
-
-    @property
-    def spans(self) -> list[str]:
-        """The code spans of the prose, each on one line."""
-        return [" ".join(span.split()) for span in SPAN.findall(self.prose)]
+        blocks = []
+        spans = []
+        before = ""
+        for token in MarkdownIt().enable("table").parse(path.read_text()):
+            if token.type == "fence":
+                need, file = ("".join(rule.findall(before)) for rule in (NEED, SAVED))
+                blocks.append(Block(token.info, token.content, need, file))
+            inline = token.children or ()
+            spans += [child.content for child in inline if child.type == "code_inline"]
+            before = token.content.rstrip() or before
+        return cls(path, blocks, spans)
 
     @property
     def commands(self) -> list[list[str]]:
-        """The words of every command line in code blocks and code spans, from the program's name
-        on.
-        """
-        shown = [
-            words
-            for block in self.all_blocks
-            if block.language in ("", "bash")
-            for words in block.commands
-        ]
+        """The words of every command line in blocks of code and code spans."""
+        shown = [words for block in self.blocks for words in block.commands]
         return shown + [words for span in self.spans if (words := _command(span))]
-
-    @property
-    def paths(self) -> set[str]:
-        """Code spans that are paths in this repository, but for those that a reader creates."""
-        spans = {*self.spans} - {*CREATED.findall(self.text)}
-        return {
-            span
-            for span in spans
-            if re.fullmatch(r"[\w.\-/]+", span) and "/" in span and span.split("/")[0] in FOLDERS
-        }
 
 
 def pages() -> list[Page]:
@@ -106,7 +72,7 @@ def pages() -> list[Page]:
 def _command(line: str) -> list[str]:
     try:
         words = shlex.split(line, comments=True)
-    except ValueError:  # a drawing, not a command
+    except ValueError:  # not a command
         return []
     while words and re.fullmatch(r"[A-Z_]+=.*", words[0]):
         words = words[1:]

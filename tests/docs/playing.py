@@ -5,6 +5,7 @@ network.
 import glob
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -18,44 +19,28 @@ from tests.tools import python, run
 
 LINKED = ("recipes", "envs", "checkpoints", "policies", "benchmarks")
 """Folders of the repository that commands name."""
-COUNTS = {
-    "dynahoi generate --recipe": {"--episodes": "2", "--workers": "1"},
-    "dynahoi generate": {"--episodes": "2"},
-    "dynahoi evaluate": {"--episodes": "2", "--gifs": "1"},
-    "dynahoi verify": {"--replay": "1"},
-    "dynahoi filter": {"--drop": "0"},
-    "lerobot-train": {
-        "--steps": "2",
-        "--batch_size": "2",
-        "--env_eval_freq": "2",
-        "--eval.n_episodes": "1",
-        "--eval.batch_size": "1",
-    },
-    "lerobot-eval": {"--eval.n_episodes": "1", "--eval.batch_size": "1"},
+TINY_ACT = "--policy.dim_model=64 --policy.n_heads=2 --policy.dim_feedforward=64"
+SMALLER = {
+    r"^dynahoi quickstart": "--tiny",
+    r"^dynahoi generate": "--episodes=2",
+    r"^dynahoi evaluate (?!--replay)": "--episodes=2",
+    r"^dynahoi pretrain": "--set=images=64 --set=n_episodes=2",
+    r"^dynahoi filter.* --drop": "--drop=0",
+    r"^dynahoi verify.* --replay": "--replay=1",
+    r"^dynahoi .* --gifs": "--gifs=1",
+    r" --recipe .* --workers": "--workers=1",
+    r"lerobot[-.\w]*train": "--steps=2 --batch_size=2 --num_workers=0 --log_freq=1",
+    r" --resume=true": "--steps=3",
+    r" --policy.type=act": TINY_ACT,
+    r" --config_path=recipes/train/vqbet": "--policy.n_vqvae_training_steps=1",
+    r" --env_eval_freq": "--env_eval_freq=2",
+    r" --env.type=dynahoi": "--env.task=lob",
+    r" --eval.n_episodes": "--eval.n_episodes=1 --eval.batch_size=1",
 }
-"""What replaces the values of these options, where a command has them."""
-FEWER = {
-    "dynahoi quickstart": ["--tiny"],
-    "dynahoi pretrain": ["--set=images=64", "--set=n_episodes=2"],
-    "dynahoi evaluate": ["--episodes=2"],
-    "lerobot-train": ["--steps=2", "--batch_size=2", "--num_workers=0", "--log_freq=1"],
-    "lerobot-eval": ["--env.task=lob"],
-}
-"""What is added to commands that do not have it: all of a split are too many, and so are all kinds
-of motion."""
-FEWER_WITH = {
-    "--env.type=dynahoi": ["--env.task=lob"],
-    "--policy.type=act": [
-        "--policy.dim_model=64",
-        "--policy.n_heads=2",
-        "--policy.dim_feedforward=64",
-    ],
-    "--resume=true": ["--steps=3"],
-    "--config_path=recipes/train/vqbet.yaml": ["--policy.n_vqvae_training_steps=1"],
-}
-"""Likewise, to commands with these options."""
-TRAINING = "lerobot.scripts.lerobot_train"
-INSTALLERS = ("pip", "uv")
+"""What is added to commands with these words, so that they do the same with fewer episodes and
+steps; of repeated options, the last count."""
+WRITTEN = r"--(?:out|root|csv|latex|output_dir|new_root|env\.results_dir)[= ](\S+)"
+"""The files and folders that a command leaves."""
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 
 
@@ -83,17 +68,21 @@ class Player:
                 self.run(words)
 
     def run(self, words: list[str]) -> None:
-        """Run a command with smaller counts."""
-        if words[0] in INSTALLERS:
+        """Run a command with smaller counts; installations are checked, not run."""
+        if words[:2] == ["uv", "run"]:
+            words = words[4:] if words[2] == "--group" else words[2:]
+        if words[0] in ("pip", "uv"):
             check_installation(words)
-            words = wrapped(words)
-            if not words:
-                return
-        words = [name for word in small(words) for name in self._filled(word)]
+            return
+        if words == ["pytest"]:  # this suite
+            return
+        words = [name for word in smaller(words) for name in self._filled(word)]
         if any(re.search(rf"(^|=){self.placeholders.get('USER')}/", word) for word in words):
             run_elsewhere(words, self.hub)
         else:
             run(words)
+        for path in re.findall(WRITTEN, " ".join(words)):
+            assert Path(path).exists() == ("--dry-run" not in words), words
 
     def _filled(self, word: str) -> list[str]:
         """Return the word with its placeholders replaced, or the files that a pattern stands
@@ -102,23 +91,14 @@ class Player:
         if "*" in word:
             return sorted(glob.glob(word))
         for name, value in self.placeholders.items():
-            before, found, after = word.partition(name)
-            if found and before[-1:] in ("", "=") and after[:1] in ("", "/"):
-                return [before + value + after]
+            word = re.sub(rf"(^|=){name}(?=/|$)", rf"\g<1>{value}", word)
         return [word]
 
 
-def small(words: list[str]) -> list[str]:
-    """Return a command that does the same with fewer episodes and steps; of repeated options, the
-    last count.
-    """
-    command = next((key for key in COUNTS | FEWER if _names(words, key)), "")
-    given = {word.partition("=")[0] for word in words}
-    fewer = [f"{name}={value}" for name, value in COUNTS.get(command, {}).items() if name in given]
-    given -= {"--steps"} if "--resume=true" in words else set()
-    added = FEWER.get(command, []) if not given & {"--replay", "--dry-run"} else []
-    added = added + [extra for key, more in FEWER_WITH.items() if key in words for extra in more]
-    return words + fewer + [word for word in added if word.partition("=")[0] not in given]
+def smaller(words: list[str]) -> list[str]:
+    command = " ".join(words)
+    added = [more for pattern, more in SMALLER.items() if re.search(pattern, command)]
+    return words + shlex.split(" ".join(added))
 
 
 def run_elsewhere(words: list[str], environment: dict[str, str]) -> None:
@@ -132,39 +112,18 @@ def run_elsewhere(words: list[str], environment: dict[str, str]) -> None:
 
 
 def check_installation(words: list[str]) -> None:
-    """Compare what a command installs with what this repository offers, because nothing is
-    installed in a test.
-    """
+    """Compare the groups, folders and extras that a command installs with the repository's."""
     groups = {after for word, after in pairwise(words) if word == "--group"}
     assert groups <= set(PROJECT["dependency-groups"]), words
-    _, *installed = words[words.index("install") :] if "install" in words else words[:1]
-    for word in (word for word in installed if not word.startswith("-")):
+    for word in words[words.index("install") + 1 :] if "install" in words else ():
         folder, _, extras = word.removesuffix("]").partition("[")
-        if shutil.which(folder):
-            continue  # a program that is installed here
+        if word.startswith("-") or shutil.which(folder):  # a program that is installed here
+            continue
         project = tomllib.loads((ROOT / folder / "pyproject.toml").read_text())["project"]
-        offered = {"", *project.get("optional-dependencies", ())}
-        assert set(extras.split(",")) <= offered, word
+        assert set(extras.split(",")) <= {"", *project.get("optional-dependencies", ())}, word
 
 
-def wrapped(words: list[str]) -> list[str]:
-    """Return the command that ``uv run`` runs, nothing for other commands; this suite stands for
-    ``pytest``.
-    """
-    if words[:2] != ["uv", "run"]:
-        return []
-    command = words[4:] if words[2] == "--group" else words[2:]
-    return [] if command == ["pytest"] else command
-
-
-def prepare(folder: Path) -> None:
-    """Let the folders that commands name be found below ``folder``, and make it the current one."""
+def link_folders(folder: Path) -> None:
+    """Let the folders that commands name be found below ``folder``."""
     for name in LINKED:
         (folder / name).symlink_to(ROOT / name)
-    os.chdir(folder)
-
-
-def _names(words: list[str], command: str) -> bool:
-    return words[: command.count(" ") + 1] == command.split() or (
-        command == "lerobot-train" and TRAINING in words
-    )

@@ -23,12 +23,11 @@ SHOWN = {"image/png", "image/gif"}
 def test_outputs_are_committed_where_they_take_minutes(path: Path):
     notebook = nbformat.read(path, as_version=4)
     cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
-    assert cells
     if path == TRAINS:
         assert [cell.execution_count for cell in cells] == [*range(1, len(cells) + 1)]
         assert shown(notebook) >= SHOWN
     else:
-        assert not any(cell.outputs or cell.execution_count for cell in cells)
+        assert not any(cell.outputs for cell in cells)
 
 
 def shown(notebook: nbformat.NotebookNode) -> set[str]:

@@ -16,34 +16,21 @@ from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.pretrain.recipe import read_recipe
 from dynahoi_lerobot.rollout.recording import load_recording
 from tests.docs.documents import ROOT, pages
-from tests.docs.playing import Player, check_installation, prepare
-
-RECIPES = ROOT / "recipes"
-HEADER = re.compile(r"^#   (\S.*)$", re.MULTILINE)
+from tests.docs.playing import Player, check_installation, link_folders
 
 
 def recipes(*folders: str) -> list[Path]:
-    return [path for folder in folders for path in sorted((RECIPES / folder).iterdir())]
+    return [path for folder in folders for path in sorted((ROOT / "recipes" / folder).iterdir())]
 
 
-def commands(path: Path) -> list[list[str]]:
-    """Return the words of the commands in the header of a recipe; what they install must be
-    there.
+def commands(path: Path) -> tuple[list[list[str]], list[str], list[list[str]]]:
+    """Return the commands in the header of a training recipe: those that make the dataset, the
+    training, and those that follow.
     """
-    found = [shlex.split(line) for line in HEADER.findall(path.read_text())]
-    for words in found:
-        if words[0] == "uv":
-            check_installation(words)
-    return [words for words in found if words[0] != "uv"]
-
-
-def prepared(path: Path) -> tuple[list[list[str]], str, list[list[str]]]:
-    """Return the commands that make the dataset, where it then lies, and those that follow."""
-    found = commands(path)
+    lines = re.findall(r"^#   (\S.*)$", path.read_text(), re.MULTILINE)
+    found = [shlex.split(line) for line in lines]
     n = [words[0] for words in found].index("lerobot-train")
-    *_, last = found[:n]
-    root = last[last.index("--root") + 1] if "--root" in last else last[-1]
-    return found[:n], root, found[n:]
+    return found[:n], found[n], found[n + 1 :]
 
 
 @pytest.mark.parametrize("path", recipes("generate", "eye"), ids=lambda path: path.stem)
@@ -64,32 +51,36 @@ def test_a_training_recipe_leaves_the_device_to_lerobot_and_can_be_evaluated(pat
         config.env.image_size
     }
     assert config.env.image_size == size
-    (generate, *_), root, (train, *_) = prepared(path)
-    assert generate[:2] == ["dynahoi", "generate"]
-    assert root == config.dataset.root
+    made, train, _ = commands(path)
+    *_, last = made
+    assert last[0] == "dynahoi"
+    assert config.dataset.root in last
     assert train[:2] == ["lerobot-train", f"--config_path={path.relative_to(ROOT)}"]
+    for words in made:
+        if words[0] == "uv":
+            check_installation(words)
 
 
 @pytest.mark.nightly
 @pytest.mark.slow
 def test_recipes_that_no_page_trains_do_so_as_their_headers_say(tmp_path, subtests, monkeypatch):
-    monkeypatch.chdir(tmp_path)  # and back
-    prepare(tmp_path)
-    generated = set()
+    monkeypatch.chdir(tmp_path)
+    link_folders(tmp_path)
+    run = Player().run
     played_by_pages = [words for page in pages() for words in page.commands]
+    done = []
     for path in recipes("train"):
+        made, train, following = commands(path)
+        if train in played_by_pages:
+            continue
         with subtests.test(recipe=path.stem):
-            made, root, (train, *evaluate) = prepared(path)
-            if train in played_by_pages:
-                continue
-            if root not in generated:
-                for words in made:
-                    Player().run(words)
-                generated.add(root)
-            Player().run([*train, "--env_eval_freq=2", "--env.task=lob", "--eval.n_episodes=1"])
-            out = tmp_path / "outputs" / path.stem
-            (played,) = (out / "dynahoi").iterdir()
+            for words in made:
+                if words not in done:
+                    run(words)
+                    done.append(words)
+            run([*train, "--env_eval_freq=2", "--env.task=lob", "--eval.n_episodes=1"])
+            (played,) = (tmp_path / "outputs" / path.stem / "dynahoi").iterdir()
             assert len(read_results(played).rows) == 1
-            for words in evaluate:
-                Player().run(words)
+            for words in following:
+                run(words)
                 assert len(read_results(Path(words[words.index("--out") + 1])).rows) == 2

@@ -10,9 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.protocols import one_hot_phase
 from dynahoi_lerobot.metrics import METRICS, Metric, measure, metric
-from dynahoi_lerobot.rollout.recorder import next_frames
 from tests.recompute_metrics import linearity, smoothness
 from tests.synthetic import synthetic_episode
 
@@ -48,19 +46,13 @@ def hand_made(
         episode,
         meta=replace(episode.meta, window_frames=WINDOW, length_frames=length_frames),
         state=state,
-        action=np.vstack([state[1:], state[-1:]]),
         given_action=np.vstack([state[1:], state[-1:]]),
-        executed_action=np.vstack([state[1:], state[-1:]]),
-        fingertips=np.zeros((frames, 30), np.float32),
-        phase=one_hot_phase(np.arange(frames) >= WINDOW),
         target_pose_h=np.hstack([aim, np.tile([1.0, 0, 0, 0], (frames, 1))]).astype(np.float32),
         target_velocity_w=np.zeros((frames, 6), np.float32),
-        target_contacts=np.zeros((frames, 5), np.float32),
         palm_distance_m=np.linalg.norm(points - aim, axis=1).astype(np.float32),
         fingertip_distance_m=np.full(frames, 0.5, np.float32),
         localized=localized,
         captured=localized,
-        succeeded=next_frames(localized),
         **changes,
     )
 
@@ -130,13 +122,6 @@ def test_the_grasp_window_is_ten_frames_long(closed_frame: int, expected: float)
     joints = [float(frame == closed_frame) for frame in range(14)]
     episode = hand_made([(0.01 * i, 0, 1) for i in range(14)], joints=joints, localized_from=0)
     assert METRICS["S_gra_window"](episode) == expected
-
-
-def test_a_grasp_is_conditional_on_localisation_and_the_joint_rate_is_not():
-    episode = hand_made(LINE, joints=[1] * 5)
-    assert METRICS["S_gra"](episode) is None
-    assert METRICS["S_gra_window"](episode) is None
-    assert METRICS["S_joint"](episode) == 0.0
 
 
 def test_per_frame_grasp_counts_fingers_with_three_joints_in_place():
@@ -243,14 +228,6 @@ def test_a_palm_that_only_recoils_from_the_fingers_stands_still(reach_m: float, 
     assert METRICS["Q_line"](episode) == pytest.approx(0.0 if still else 1 / 4, abs=1e-3)
 
 
-def test_a_pause_adds_nothing_to_linearity_but_counts_as_a_step():
-    episode = hand_made([(0, 0, 0), (0.25, 0, 0), (0.25, 0, 0), (0.5, 0, 0)])
-    assert METRICS["Q_line"](episode) == pytest.approx(2 / 3)
-    assert METRICS["Q_smooth"](episode) == pytest.approx(
-        1 / (1 + math.sqrt(1 / 2))
-    )  # lengths 1, 0, 1
-
-
 def test_legacy_quality_reads_18d_commands_in_units_and_radians():
     episode = hand_made([(0.0, 0, 0)] * 5)
     commands = [[0.0] * 18 for _ in range(5)]
@@ -350,9 +327,7 @@ def test_contact_has_a_hold_and_no_reference_grasp_and_the_other_rules_the_rever
     ("value", "aggregation", "bounds"),
     [
         (1.5, "mean", (0.0, 1.0)),
-        (-0.1, "mean", (0.0, 1.0)),
         (0.5, "rate", (0.0, 1.0)),
-        (float("nan"), "mean", (0.0, 1.0)),
         (float("inf"), "mean", (0.0, float("inf"))),
     ],
 )

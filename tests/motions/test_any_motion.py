@@ -51,13 +51,6 @@ def test_each_seed_draws_a_motion_whose_parameters_are_finite_json_that_gives_it
 
 
 @pytest.mark.parametrize("kind", PRESCRIBED)
-def test_a_path_in_closed_form_needs_no_fixtures_and_is_under_way_at_once(kind: str):
-    drawn = draw_motion(kind, 0)
-    launch = drawn.motion.launch(drawn.target)
-    assert (launch.boxes, launch.tether, launch.striker, launch.release_s) == ((), None, None, 0.0)
-
-
-@pytest.mark.parametrize("kind", PRESCRIBED)
 def test_the_velocity_of_a_prescribed_path_never_jumps(kind: str):
     """What drives the target along it would be an impulse, and no prediction could follow."""
     for seed in SEEDS:

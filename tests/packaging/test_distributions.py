@@ -66,11 +66,6 @@ def test_versions_are_in_step() -> None:
     assert len(versions(ROOT)) == 1
 
 
-def test_each_is_tried_alone() -> None:
-    names = {project(path)["name"] for path in PROJECTS}
-    assert {path.stem for path in (ROOT / ".ci" / "alone").glob("*.sh")} == names
-
-
 def test_one_command_sets_all_versions(tmp_path: Path) -> None:
     for path in (*PROJECTS, ROOT / ".ci" / "version"):
         copy = tmp_path / path.relative_to(ROOT)

@@ -3,6 +3,7 @@
 import base64
 import io
 import json
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -105,17 +106,17 @@ def test_the_request_holds_what_the_paper_says():
 
 
 def test_worlds_are_decided_side_by_side():
+    all_four = threading.Barrier(4)
+
     def handler(exchange: Exchange) -> None:
-        time.sleep(0.5)
+        all_four.wait(timeout=10.0)
+        time.sleep(0.1)
         exchange.say(answer())
 
     with serving(handler) as (url, _):
-        client = VlmClient("tiny", url)
-        start = time.monotonic()
-        assert all(
-            commands is not None and took >= 0.5 for commands, took in client.plan([SEEN] * 4)
-        )
-        assert time.monotonic() - start < 1.5
+        for commands, took_s in VlmClient("tiny", url).plan([SEEN] * 4):
+            assert commands is not None
+            assert took_s >= 0.1
 
 
 def test_a_server_without_structured_output_is_asked_without():
@@ -130,19 +131,6 @@ def test_a_server_without_structured_output_is_asked_without():
         assert client.plan([SEEN])[0][0] is not None
         assert client.plan([SEEN])[0][0] is not None
     assert ["response_format" in exchange.body for exchange in seen] == [True, False, False]
-
-
-def test_a_busy_server_is_asked_again_after_the_pause_it_asks_for():
-    def handler(exchange: Exchange) -> None:
-        exchange.say(answer()) if exchange.number else exchange.send(
-            {}, 429, **{"Retry-After": "1"}
-        )
-
-    with serving(handler) as (url, _):
-        client = VlmClient("tiny", url)
-        start = time.monotonic()
-        assert client.plan([SEEN])[0][0] is not None
-        assert time.monotonic() - start >= 1.0
 
 
 FAILURES: dict[str, tuple[Handler, str]] = {

@@ -187,13 +187,6 @@ def test_stored_actions_replay_to_the_bit(control_class: str, specs: list[Episod
         (again,) = replay(recipe, [ActionLog(spec.seed, first.action)], images=False)
         for name in ("state", "action", "executed_action", "fingertips", "target_pose_h"):
             np.testing.assert_array_equal(getattr(again, name), getattr(first, name), err_msg=name)
-        latency = {"standard": 0, "late": 3}[control_class]
-        given = first.given_action[: len(first) - latency]
-        executed = first.executed_action[latency:]
-        np.testing.assert_allclose(
-            executed, given, atol=1e-6
-        )  # which the speed limits have cut already
-        assert latency == 0 or np.abs(first.executed_action - first.given_action).max() > 0.01
 
 
 SEEING = Recipe.of(split="test", image_size=16, views=("side",))
@@ -336,30 +329,25 @@ def test_commands_beyond_the_range_end_at_its_limit_in_an_action_space_that_does
         assert (hands.given <= high).all()
 
 
-@pytest.mark.parametrize("in_window", [True, False])
-def test_a_bad_command_moves_nothing(specs: list[EpisodeSpec], in_window: bool):
-    """One that is not finite, or of a wrong shape; not a bit of the batch changes."""
+@pytest.mark.parametrize("bad", [np.nan, -np.inf])
+def test_a_command_that_is_not_finite_moves_nothing(specs: list[EpisodeSpec], bad: float):
     batch = world(specs[:4])
-    if not in_window:
-        wait(batch)
-    before = [value.copy() for value in (batch._batch.state, batch.frame, batch.executed)]
-    infinite = [
-        np.where(np.arange(72).reshape(4, 18) == 2 * 18 + 7, bad, batch.executed)
-        for bad in (np.nan, -np.inf)
-    ]
-    for commands in (
-        *infinite,
-        *map(np.zeros, ((3, HAND_DOF), (4, HAND_DOF - 1), (4, HAND_DOF, 1))),
-    ):
-        with pytest.raises(
-            ValueError,
-            match="world 2 must be finite" if commands.shape == (4, HAND_DOF) else "shape",
-        ):
-            batch.step(commands)
-        for value, held in zip(
-            (batch._batch.state, batch.frame, batch.executed), before, strict=True
-        ):
-            np.testing.assert_array_equal(value, held)
+    commands = batch.executed.copy()
+    commands[2, 7] = bad
+    refused(batch, commands, "world 2 must be finite")
+
+
+@pytest.mark.parametrize("shape", [(3, HAND_DOF), (4, HAND_DOF - 1), (4, HAND_DOF, 1)])
+def test_commands_of_a_wrong_shape_move_nothing(specs: list[EpisodeSpec], shape: tuple[int, ...]):
+    refused(world(specs[:4]), np.zeros(shape), "shape")
+
+
+def refused(batch: WorldBatch, commands: np.ndarray, named: str) -> None:
+    before = batch._batch.state.copy()
+    with pytest.raises(ValueError, match=named):
+        batch.step(commands)
+    np.testing.assert_array_equal(batch._batch.state, before)
+    assert not batch.frame.any()
 
 
 def test_in_the_window_which_the_phase_tells_commands_are_ignored_and_the_hand_holds_still(
