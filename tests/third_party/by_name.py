@@ -14,12 +14,10 @@ import gymnasium as gym
 import numpy as np
 
 from benchmarks import pin
-from dynahoi_lerobot.cli.main import main as dynahoi
 from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.rollout.recording import Recording
 from dynahoi_lerobot.scene.scene import compile_scene
-
-OPTIONS = ["--motions", "a_drift", "--objects", "caltrop"]
+from tests.tools import generated
 
 
 def main(folder: Path) -> None:
@@ -47,8 +45,7 @@ def main(folder: Path) -> None:
     env = gym.make("dynahoi_lerobot.env:dynahoi/a_drift-v0", image_size=32)
     observation, _ = env.reset(seed=0)
     assert np.ptp(observation["pixels"]["ego"]) > 0
-    words = ["--root", str(folder), "--episodes", "1", "--image-size", "32"]
-    assert dynahoi(["generate", *words, *OPTIONS]) == 0
+    generated(folder, "--image-size=32", "--motions=a_drift", "--objects=caltrop", episodes=1)
     assert pin.differences(pin.pin(seeds=2, with_images=1)[0], pin.read()) == []
 
 

@@ -12,7 +12,6 @@ import pytest
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.dataset import read_episodes
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.report.entries import unique_labels
@@ -21,7 +20,7 @@ from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.checkpoints import tiny_act
 from tests.env.test_lerobot_plugin import through_lerobot
-from tests.tools import generated
+from tests.tools import dynahoi, generated
 
 ENV = "dynahoi_lerobot.env:dynahoi/constant-v0"
 KEY = "observation.environment_state"
@@ -67,7 +66,7 @@ def test_a_dataset_holds_it_on_request_and_lerobot_reads_it(data: Path) -> None:
     np.testing.assert_array_equal(dataset[3][KEY], expected[2:4])
     assert dataset.meta.features[KEY]["names"][:4] == ["x", "y", "z", "qw"]
     assert set(dataset.meta.stats[KEY]) >= {"mean", "std", "min", "max"}
-    assert main(["verify", str(data)]) == 0
+    dynahoi("verify", data)
     assert "true state of the target" in meaning(data)
 
 
@@ -85,20 +84,11 @@ def test_an_environment_shows_it_on_request() -> None:
 
 
 def test_a_policy_that_reads_it_is_evaluated_on_request_and_marked(checkpoint, tmp_path, capsys):
-    words = [
-        "evaluate",
-        "--policy",
-        checkpoint,
-        "--motions",
-        "constant",
-        "--episodes",
-        "1",
-        "--out",
-        f"{tmp_path}/r",
-    ]
-    assert main(words) != 0
+    words = ["evaluate", "--policy", checkpoint, "--motions", "constant", "--episodes", "1"]
+    words += ["--out", tmp_path / "r"]
+    dynahoi(*words, code=2)
     assert "add --environment-state truth" in capsys.readouterr().err
-    assert main([*words, "--environment-state", "truth"]) == 0
+    dynahoi(*words, "--environment-state", "truth")
     out = capsys.readouterr().out
     assert f"{checkpoint}*" in out
     assert "* privileged" in out
@@ -106,10 +96,8 @@ def test_a_policy_that_reads_it_is_evaluated_on_request_and_marked(checkpoint, t
     assert len(results.rows) == 1
     assert unique_labels([results])[0].endswith("(privileged)")
     assert results.privileged
-    assert (
-        main(["generate", "--actor", checkpoint, "--episodes", "1", "--root", str(tmp_path / "d")])
-        == 2
-    )
+    words = ["--actor", checkpoint, "--episodes", "1", "--root", tmp_path / "d"]
+    dynahoi("generate", *words, code=2)
     assert f"reads {KEY}; an actor sees images and the hand alone" in capsys.readouterr().err
     assert not (tmp_path / "d").exists()
 
@@ -124,7 +112,7 @@ def test_lerobot_evaluates_it(checkpoint: str, tmp_path: Path) -> None:
 
 
 def test_a_dataset_holds_where_the_eye_saw_the_target(by_eye: Path) -> None:
-    assert main(["verify", str(by_eye)]) == 0
+    dynahoi("verify", by_eye)
     assert "where the eye" in meaning(by_eye)
     dataset = LeRobotDataset("local/d", root=by_eye)
     episodes = list(read_episodes(by_eye))
@@ -181,14 +169,15 @@ def test_a_policy_that_reads_it_is_not_privileged(
 ) -> None:
     reader = small_act(tmp_path / "act", 14)
     words = ["evaluate", "--policy", reader, "--motions", "constant", "--episodes", "1"]
-    assert main([*words, "--out", str(tmp_path / "r")]) == 2
+    words += ["--out", tmp_path / "r"]
+    dynahoi(*words, code=2)
     assert "does not say which" in capsys.readouterr().err
     env = {"type": "dynahoi", "environment_state": "eye", "image_size": 96}
     (tmp_path / "act" / "train_config.json").write_text(json.dumps({"env": env}))
-    assert main([*words, "--out", str(tmp_path / "r")]) == 0
+    dynahoi(*words)
     assert "--environment-state eye" in capsys.readouterr().out
     results = read_results(tmp_path / "r")
     rules = results.recipe().rules
     assert (rules.environment_state, rules.image_size, results.privileged) == ("eye", 96, False)
-    assert main([*words, "--environment-state", "truth"]) == 2
+    dynahoi(*words, "--environment-state", "truth", code=2)
     assert f"but {reader} needs --environment-state eye" in capsys.readouterr().err
