@@ -2,6 +2,7 @@
 textures, smooth edges.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import mujoco
@@ -22,7 +23,9 @@ TYPES = {
 }
 SIZE_M = np.array([0.3, 0.2, 0.4])
 SHARP_RAD = 1e-7
+SOFT_RAD = 0.02
 DIRECTIONS = 200
+every_shape = pytest.mark.parametrize("geom_type", TYPES, ids=lambda one: one.name)
 
 
 def _kernel_of(shadow: wp.Function) -> wp.Kernel:
@@ -41,15 +44,17 @@ def _kernel_of(shadow: wp.Function) -> wp.Kernel:
     )
 
 
-def shares(geom_type: mujoco.mjtGeom, points: np.ndarray, to_light: np.ndarray) -> np.ndarray:
-    """(K,) share of a sharp light that the shape takes from points (K, 3) [m], its frame;
-    ``to_light`` (K, 3).
+def shares(
+    geom_type: mujoco.mjtGeom, spread: float, points: np.ndarray, to_light: np.ndarray
+) -> np.ndarray:
+    """(K,) share of the light that the shape takes from points (K, 3) [m], its frame; ``to_light``
+    (K, 3).
     """
     with wp.ScopedDevice("cpu"):
         taken = wp.empty(len(points), dtype=float)
         inputs = [
             wp.vec3(*SIZE_M),
-            SHARP_RAD,
+            spread,
             wp.array(points, dtype=wp.vec3),
             wp.array(to_light, dtype=wp.vec3),
             taken,
@@ -58,16 +63,23 @@ def shares(geom_type: mujoco.mjtGeom, points: np.ndarray, to_light: np.ndarray) 
         return taken.numpy()
 
 
-def ray_blocked(geom_type: mujoco.mjtGeom, points: np.ndarray, to_light: np.ndarray) -> np.ndarray:
-    """(K,) which rays from points (K, 3) in directions (K, 3) meet the shape."""
+def ray_blocked(geom_type: mujoco.mjtGeom) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """Return a function that tells (K,) which rays from points (K, 3) in directions (K, 3) meet the
+    shape.
+    """
     spec = mujoco.MjSpec()
     spec.worldbody.add_geom(type=geom_type, size=SIZE_M)
     model = spec.compile()
-    data = mujoco.MjData(model)
-    found = np.zeros(1, np.int32)
+    data, found = mujoco.MjData(model), np.zeros(1, np.int32)
     mujoco.mj_kinematics(model, data)
-    rays = zip(points, to_light, strict=True)
-    return np.array([mujoco.mj_ray(model, data, p, d, None, True, -1, found) >= 0 for p, d in rays])
+
+    def blocked(points: np.ndarray, to_light: np.ndarray) -> np.ndarray:
+        rays = zip(points, to_light, strict=True)
+        return np.array(
+            [mujoco.mj_ray(model, data, p, d, None, True, -1, found) >= 0 for p, d in rays]
+        )
+
+    return blocked
 
 
 def directions(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -78,7 +90,7 @@ def directions(rng: np.random.Generator, count: int) -> np.ndarray:
     return drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
 
 
-@pytest.mark.parametrize("geom_type", TYPES, ids=lambda one: one.name)
+@every_shape
 def test_a_point_light_is_taken_exactly_where_a_ray_is_blocked(geom_type: mujoco.mjtGeom) -> None:
     """Also beside the shape and between it and the light; but for rays that graze it to within
     rounding.
@@ -86,14 +98,44 @@ def test_a_point_light_is_taken_exactly_where_a_ray_is_blocked(geom_type: mujoco
     rng = np.random.default_rng(0)
     to_light = np.repeat(directions(rng, DIRECTIONS), 100, axis=0)
     points = rng.uniform(-1.0, 1.0, to_light.shape)
-    taken = shares(geom_type, points, to_light)
-    blocked = ray_blocked(geom_type, points, to_light)
-    outside = ~(blocked & ray_blocked(geom_type, points, -to_light))
+    taken = shares(geom_type, SHARP_RAD, points, to_light)
+    blocked = ray_blocked(geom_type)(points, to_light)
+    outside = ~(blocked & ray_blocked(geom_type)(points, -to_light))
     taken = taken[outside]
     blocked = blocked[outside]
     assert 0.02 < blocked.mean() < 0.6
     assert ((taken > 0.5) != blocked).mean() < 2e-4
     assert ((taken > 0.01) & (taken < 0.99)).mean() < 2e-4
+
+
+@every_shape
+def test_half_shadow_lies_evenly_about_the_edge(geom_type: mujoco.mjtGeom) -> None:
+    """On the edge that MuJoCo's rays find half of the light is taken; as much outside as is left
+    within.
+    """
+    rng = np.random.default_rng(1)
+    to_light = directions(rng, DIRECTIONS)[6:]
+    aside = np.cross(to_light, rng.normal(size=to_light.shape))
+    aside /= np.linalg.norm(aside, axis=1, keepdims=True)
+    blocked = ray_blocked(geom_type)
+    below = -1.0 * to_light
+    within = np.zeros(len(aside))
+    beyond = np.ones(len(aside))
+    for _ in range(20):
+        middle = (within + beyond) / 2
+        hit = blocked(below + middle[:, None] * aside, to_light)
+        within = np.where(hit, middle, within)
+        beyond = np.where(hit, beyond, middle)
+    on_edge = below + within[:, None] * aside
+    step = 0.5 * SOFT_RAD * aside
+    edge, inner, outer = (
+        shares(geom_type, SOFT_RAD, on_edge + k * step, to_light) for k in (0, -1, 1)
+    )
+    np.testing.assert_allclose(np.median(edge), 0.5, atol=0.01)
+    np.testing.assert_allclose(np.median(inner + outer), 1.0, atol=0.02)
+    assert np.quantile(np.abs(edge - 0.5), 0.9) < 0.05
+    assert np.quantile(np.abs(inner + outer - 1.0), 0.9) < 0.1
+    assert np.median(inner - outer) > 0.4
 
 
 SIZE = 96

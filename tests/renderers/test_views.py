@@ -7,6 +7,7 @@ import pytest
 
 from dynahoi_lerobot.core.conventions import EGO_VIEW
 from dynahoi_lerobot.core.spec import EpisodeSpec
+from dynahoi_lerobot.env.vector_env import DynahoiVectorEnv
 from dynahoi_lerobot.renderers.views import COLORS, DEPTH_LEVEL_M, EXTRA_VIEWS
 from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.rollout.recording import Recording
@@ -83,9 +84,13 @@ def test_images_of_depth_and_segmentation(batch: WorldBatch) -> None:
         ).mean() > 0.7
 
 
-def test_motion_shows_the_frames_two_and_four_before_in_its_channels() -> None:
-    recording = Recording.of(split="test", image_size=32, views=("ego_motion",))
-    one, *_ = episodes = list(record(recording, range(3), batch_size=2))
+def test_motion_shows_the_frames_two_and_four_before_in_its_channels(
+    specs: list[EpisodeSpec],
+) -> None:
+    recording = Recording.of(split=specs[0].split, image_size=32, views=("ego_motion",))
+    one, *_ = episodes = list(
+        record(recording, [specs[0].seed, specs[1].seed, specs[2].seed], batch_size=2)
+    )
     luminance = [0.299, 0.587, 0.114]
     for episode in episodes:
         grey = episode.images["ego"] @ luminance
@@ -95,3 +100,6 @@ def test_motion_shows_the_frames_two_and_four_before_in_its_channels() -> None:
             assert np.abs(seen - grey[then]).max() <= 1.0
     (alone,) = record(recording, [one.meta.seed], batch_size=1)
     np.testing.assert_array_equal(alone.images["ego_motion"], one.images["ego_motion"])
+    env = DynahoiVectorEnv(1, image_size=32, views=("ego_motion",))
+    assert env.reset(seed=0)[0]["pixels"]["ego_motion"].shape == (1, 32, 32, 3)
+    assert env.observation_space.contains(env.reset(seed=0)[0])
