@@ -67,6 +67,13 @@ class Estimate:
     unit: str
     n: int
 
+    def shown(self) -> list[float]:
+        """Return value and ends of the interval as people read them, fractions in per cent; empty
+        without a value.
+        """
+        scale = 100 if self.unit == "fraction" else 1
+        return [scale * end for end in (self.value, self.low, self.high) if end is not None]
+
 
 Summary = dict[str, Estimate]
 

@@ -199,12 +199,10 @@ def metric_cell(estimate: Estimate, mark: str = "") -> Cell:
     """Return a value and its interval, fractions in per cent; nothing where the metric applies to
     no episode.
     """
-    if estimate.value is None or estimate.low is None or estimate.high is None:
+    if estimate.value is None:
         return Cell("")
-    scale, digits = (100, 1) if estimate.unit == "fraction" else (1, 2)
-    value, *ends = (
-        f"{scale * end:z.{digits}f}" for end in (estimate.value, estimate.low, estimate.high)
-    )
+    digits = 1 if estimate.unit == "fraction" else 2
+    value, *ends = (f"{number:z.{digits}f}" for number in estimate.shown())
     return Cell(value, f"[{', '.join(ends)}]", estimate.value, mark)
 
 

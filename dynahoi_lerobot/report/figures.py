@@ -172,9 +172,8 @@ def error_bars(estimates: Sequence[Estimate | None]) -> tuple[np.ndarray, np.nda
     """Return (K,) values and (2, K) lengths of their error bars, fractions in per cent; nan where
     there is none.
     """
-    rows = [(e.value, e.low, e.high) if e else (None,) * 3 for e in estimates]
-    scales = np.array([100 if e and e.unit == "fraction" else 1 for e in estimates])
-    value, low, high = np.array(rows, np.float64).reshape(-1, 3).T * scales
+    rows = [(estimate.shown() if estimate else []) or [np.nan] * 3 for estimate in estimates]
+    value, low, high = np.array(rows).reshape(-1, 3).T
     return value, np.stack([value - low, high - value])
 
 

@@ -77,7 +77,8 @@ def _difference(a: Entry, b: Entry) -> str:
     apart = paired_difference(a.results, b.results, COMMANDS)
     if loc is None or apart is None:
         return f"{a.label} and {b.label} share no episode"
-    points = f"S_loc {100 * loc.value:+.1f} [{100 * loc.low:+.1f}, {100 * loc.high:+.1f}] points"
+    value, low, high = loc.shown()
+    points = f"S_loc {value:+.1f} [{low:+.1f}, {high:+.1f}] points"
     commands = f"commands {apart.value:.2f} [{apart.low:.2f}, {apart.high:.2f}] cm apart"
     return f"{a.label} minus {b.label}, {loc.n} episodes: {points}, {commands}"
 
