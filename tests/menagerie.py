@@ -83,7 +83,11 @@ def hinge(joint: str, sign: int, rest_rad: float, inside: str) -> str:
     """What is inside a body, on a joint that turns it about x, and that is at rest where it is."""
     span = words(np.sort(sign * SPAN_RAD) + rest_rad)
     limits = f'range="{span}" actuatorfrcrange="-1.2 1.2"'
-    return f"""<body quat="{np.cos(rest_rad / 2)} {-sign * np.sin(rest_rad / 2)} 0 0">
+    # as models orient bodies: a hinge that turns backwards by an axis and an angle
+    turned = f'quat="{np.cos(rest_rad / 2)} {-sign * np.sin(rest_rad / 2)} 0 0"'
+    if sign < 0:
+        turned = f'axisangle="1 0 0 {rest_rad}"'
+    return f"""<body {turned}>
         <joint name="{joint}" axis="{sign} 0 0" {limits}/>{inside}</body>"""
 
 

@@ -107,7 +107,8 @@ class RobotHand(Hand):
         )
         joints = {joint.name: joint for joint in robot.joints}
         for name in dict.fromkeys((*names, *self.rest_rad)):
-            _turn(known(f"joint of {self.model}", name, joints), self.rest_rad.get(name, 0.0))
+            joint = known(f"joint of {self.model}", name, joints)
+            _turn(robot, joint, self.rest_rad.get(name, 0.0))
         self._check_parts(robot)
         motors = {joint: _motor(robot, joint) for joint in names}
         frame = _reduce(robot, self.palm, names)
@@ -180,16 +181,22 @@ def _load(model: str, entry: str) -> mujoco.MjSpec:
         ) from error
 
 
-def _turn(joint: mujoco.MjsJoint, angle: float) -> None:
+def _turn(robot: mujoco.MjSpec, joint: mujoco.MjsJoint, angle: float) -> None:
     """Turn the body of a joint by an angle [rad], from which the joint then counts."""
+    body = joint.parent
+    quat = body.quat
+    if body.alt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT:  # as Euler angles, by its axes
+        told = (robot.compiler.degree, robot.compiler.eulerseq, body.alt)
+        quat = np.array(robot.resolve_orientation(*told))
+        body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
     turn = np.zeros(4)
     turned = np.zeros(4)
     shift = np.zeros(3)
     mujoco.mju_axisAngle2Quat(turn, joint.axis, angle)
-    mujoco.mju_mulQuat(turned, joint.parent.quat, turn)
+    mujoco.mju_mulQuat(turned, quat, turn)
     mujoco.mju_rotVecQuat(shift, joint.pos, turn)
-    mujoco.mju_rotVecQuat(shift, joint.pos - shift, joint.parent.quat)
-    joint.parent.pos, joint.parent.quat = joint.parent.pos + shift, turned
+    mujoco.mju_rotVecQuat(shift, joint.pos - shift, quat)
+    body.pos, body.quat = body.pos + shift, turned
 
 
 def _motor(robot: mujoco.MjSpec, joint: str) -> tuple[dict[str, float], float]:
