@@ -52,8 +52,12 @@ def exclusive(folder: Path) -> Iterator[None]:
 
     Raises:
         BlockingIOError: if another process holds it.
+        FileExistsError: if a link, hard or symbolic, has the lock's name; what it leads to would be
+            overwritten.
     """
     lock = folder / LOCK
+    if lock.is_symlink() or (lock.exists() and not (lock.is_file() and lock.stat().st_nlink == 1)):
+        raise FileExistsError(f"{lock} is a link, not a lock; remove it or choose another folder")
     with lock.open("a+") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
