@@ -35,6 +35,18 @@ def test_a_killed_process_loses_its_lock(tmp_path: Path):
     assert not (tmp_path / "lock").exists()
 
 
+@pytest.mark.parametrize("link", [Path.symlink_to, Path.hardlink_to])
+def test_a_link_in_the_place_of_a_lock_does_not_lose_what_it_leads_to(link, tmp_path: Path):
+    thesis = tmp_path / "thesis.tex"
+    thesis.write_text("precious")
+    folder = tmp_path / "work"
+    folder.mkdir()
+    link(folder / "lock", thesis)
+    with pytest.raises(FileExistsError, match="link"), exclusive(folder):
+        pass
+    assert thesis.read_text() == "precious"
+
+
 def test_only_the_folder_of_the_same_task_is_entered(tmp_path: Path):
     folder = tmp_path / "work"
     foreign = tmp_path / "foreign"
