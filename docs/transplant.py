@@ -57,10 +57,10 @@ def until_catch(window: Window, hand: int) -> int:
 
 def draw_from_above(axes: Axes, policy: ObActPolicy, window: Window, hand: int, color: str) -> None:
     """Draw the way of a palm, and where it sees the target [m]."""
-    eyes, rays = policy.acting.forecaster.sighted(window.frames)
+    centers, rays = policy.acting.forecaster.sighted(window.frames)
     last = until_catch(window, hand)
     palm = window.frames.palm[hand, :last]
-    seen = (eyes + rays)[hand, :last, 0]
+    seen = (centers + rays)[hand, :last, 0]
     axes.plot(palm[:, 0], palm[:, 1], color=color, lw=2)
     axes.plot(*palm[-1, :2], color=color, marker="o")
     axes.scatter(seen[:, 0], seen[:, 1], color=color, s=9)

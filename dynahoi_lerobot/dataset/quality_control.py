@@ -1,10 +1,10 @@
 """Quality control: rules that reject corrupt trajectories (Appendix "Post-processing and quality
 control").
 
-Each rule looks at one episode and tells whether it breaks it. Generation draws a rejected episode
-again. No intact recording exceeds the bounds: "seen" is the greatest value in
-560 recordings of both capture rules' experts, with every kind of motion, faster and held-out ones,
-and disturbances up to the 0.2 m that recipes allow.
+Each rule tells whether an episode breaks it. Generation draws a rejected episode again. No intact
+recording exceeds the bounds: "seen" is the greatest value in 560 recordings of both capture rules'
+experts, with every kind of motion, faster and held-out ones, and disturbances up to the 0.2 m that
+recipes allow.
 """
 
 import numpy as np

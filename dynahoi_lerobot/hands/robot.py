@@ -185,9 +185,10 @@ def _turn(robot: mujoco.MjSpec, joint: mujoco.MjsJoint, angle: float) -> None:
     """Turn the body of a joint by an angle [rad], from which the joint then counts."""
     body = joint.parent
     quat = body.quat
-    if body.alt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT:  # as Euler angles, by its axes
-        told = (robot.compiler.degree, robot.compiler.eulerseq, body.alt)
-        quat = np.array(robot.resolve_orientation(*told))
+    if body.alt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT:  # Euler angles, axes or the like
+        compiler = robot.compiler
+        resolved = robot.resolve_orientation(compiler.degree, compiler.eulerseq, body.alt)
+        quat = np.array(resolved)
         body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
     turn = np.zeros(4)
     turned = np.zeros(4)
