@@ -35,18 +35,12 @@ def write_sample(out: Path, store: Store, key: str, per_kind: int) -> int:
 
     The dataset's episode table has the column ``motion``; ``key`` is that of the images to show.
     """
-    least = min(store.features[name]["shape"][0] for name in ("observation.state", "action"))
-    if least <= PALM_DOF:
-        raise ValueError(
-            f"its state and action must have more than {PALM_DOF} numbers, got {least}"
-        )
     chosen = stratified([row["motion"] for row in store.rows], per_kind)
     columns = {name: column(store.root, name) for name in ("target.pose", "observation.phase")}
-    angles = frame_column(store.root, "observation.state")[:, PALM_DOF:].mean(axis=1)
-    closed_rad = float(angles.max()) or 1.0
     # in the order of the dataset, in which each of its files is read once
-    shown = {index: _episode(store, index, key, columns, closed_rad) for index in sorted(chosen)}
+    shown = {index: _episode(store, index, key, columns) for index in sorted(chosen)}
     episodes = [shown[index] for index in chosen]
+    _scale_closing(episodes)
     data = {"episodes": episodes, "columns": SHEET_COLUMNS, "command": removal_command(store.root)}
     text = filled(
         TEMPLATE,
@@ -98,31 +92,27 @@ def column(root: Path, name: str) -> np.ndarray | None:
 
 
 def _episode(
-    store: Store,
-    index: int,
-    key: str,
-    columns: dict[str, np.ndarray | None],
-    closed_rad: float,
+    store: Store, index: int, key: str, columns: dict[str, np.ndarray | None]
 ) -> dict[str, Any]:
-    """Return what the page shows of an episode: positions, (T, 3) lists [m], home frame, and how
-    far hand and action are closed, (T,) lists from 0 to 1, where 1 is a mean angle ``closed_rad``.
-    """
+    """Return what the page shows of an episode; positions are (T, 3) lists [m], home frame."""
     row, table, images = read_episode(store, index, key)
     frames = slice(row["dataset_from_index"], row["dataset_to_index"])
-    state = column_array(table, "observation.state")
-    action = column_array(table, "action")
+    state, action = found = [column_array(table, name) for name in ("observation.state", "action")]
+    least = min(array.shape[1] for array in found)
+    if least <= PALM_DOF:
+        raise ValueError(
+            f"its state and action must have more than {PALM_DOF} numbers, got {least}"
+        )
     grasp = store.features["action"]["names"] == [*CONTROL_MODES[GRASP]]
-    places = {
-        "palm": state[:, :PALM_DOF],
-        "action": action[:, :PALM_DOF] + (state[:, :PALM_DOF] if grasp else 0.0),
-    }
+    goal = action[:, :PALM_DOF] + (state[:, :PALM_DOF] if grasp else 0.0)
     closing = {
-        "palm": state[:, PALM_DOF:].mean(axis=1) / closed_rad,
-        "action": action[:, PALM_DOF:].mean(axis=1) / (1.0 if grasp else closed_rad),
+        "palm": state[:, PALM_DOF:].mean(axis=1),
+        "action": action[:, PALM_DOF:].mean(axis=1),
     }
+    told = {"palm": state[:, :PALM_DOF], "action": goal}
     pose = columns["target.pose"]
     if pose is not None:
-        places["target"] = pose[frames, :PALM_DOF]
+        told["target"] = pose[frames, :PALM_DOF]
     phase = columns["observation.phase"]
     window = 0 if phase is None else int((~is_acting(phase[frames])).sum())
     return {
@@ -132,11 +122,27 @@ def _episode(
         "success": bool(row.get("success", True)),
         "frames": len(images),
         "window": window,
-        "closing": {
-            name: np.round(np.clip(share, 0.0, 1.0), 3).tolist() for name, share in closing.items()
-        },
+        "grasp": grasp,
+        "closing": closing,
         "sheet": sheet(images),
-    } | {name: np.round(values, 4).tolist() for name, values in places.items()}
+    } | {name: np.round(values, 4).tolist() for name, values in told.items()}
+
+
+def _scale_closing(episodes: list[dict[str, Any]]) -> None:
+    """Express mean joint angles as shares of the greatest one shown; a grasp's closing number is
+    one already.
+    """
+    angles = [
+        e["closing"][name]
+        for e in episodes
+        for name in ("palm", "action")
+        if name == "palm" or not e["grasp"]
+    ]
+    most = max((float(values.max()) for values in angles), default=0.0) or 1.0
+    for episode in episodes:
+        for name, values in episode["closing"].items():
+            share = values if name == "action" and episode["grasp"] else values / most
+            episode["closing"][name] = np.round(np.clip(share, 0.0, 1.0), 3).tolist()
 
 
 def sheet(images: np.ndarray) -> str:

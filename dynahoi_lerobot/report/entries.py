@@ -81,7 +81,10 @@ def _readable(folders: Sequence[Path]) -> list[Results]:
     """Return the results of the folders that can be read; name the others in warnings."""
     results: list[Results] = []
     problems: list[ReadError] = []
-    for folder in dict.fromkeys(folder.resolve() for folder in folders):
+    named: dict[Path, Path] = {}  # by where they lead, as they were called first
+    for folder in folders:
+        named.setdefault(folder.resolve(), folder.absolute())
+    for folder in named.values():
         try:
             results.append(read_results(folder))
         except ReadError as error:

@@ -133,6 +133,15 @@ def unfinished(root: Path) -> list[Path]:
     return sorted(root.iterdir())
 
 
+def test_a_linked_folder_counts_once_under_the_name_that_it_was_called_by(
+    tmp_path: Path, runs: Path
+):
+    link = tmp_path / "mine"
+    link.symlink_to(runs / "strong", target_is_directory=True)
+    (entry,) = read_entries([link, runs / "strong"])
+    assert entry.results.folder == link
+
+
 def test_folders_that_cannot_be_read_are_left_out_with_a_word_each(
     tmp_path: Path, runs: Path, monkeypatch
 ):
