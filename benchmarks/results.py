@@ -26,7 +26,7 @@ from typing import Any
 import yaml
 from support.options import benchmark_parser, pinned_benchmark, provenance, write_numbers
 
-from dynahoi_lerobot.evaluate.checkpoint import folder_weights
+from dynahoi_lerobot.evaluate.checkpoint_files import folder_weights
 from dynahoi_lerobot.evaluate.compare import compare
 from dynahoi_lerobot.evaluate.results import WEIGHTS, Results, read_results
 from dynahoi_lerobot.evaluate.table import MAIN_COLUMNS, metrics_table

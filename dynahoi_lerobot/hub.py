@@ -24,17 +24,15 @@ from dynahoi_lerobot.core.reading import read_object, reading
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import CARD_PATH, CODEBASE_VERSION, INFO_PATH, MANIFEST_PATH
 from dynahoi_lerobot.evaluate.actors import TRUST
-from dynahoi_lerobot.evaluate.checkpoint import (
+from dynahoi_lerobot.evaluate.checkpoint import PLUGINS, checked_folder, load_policy
+from dynahoi_lerobot.evaluate.checkpoint_files import (
     BASE,
     CONFIG,
-    PLUGINS,
     TRAINING,
-    checked_folder,
     folder_weights,
     hint_at_checkpoint,
-    load_policy,
-    trained_for,
 )
+from dynahoi_lerobot.evaluate.checkpoint_rules import trained_for
 from dynahoi_lerobot.evaluate.replay_results import (
     changed_rules,
     drawn,

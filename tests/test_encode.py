@@ -11,7 +11,7 @@ from dynahoi_lerobot.dataset import episode_column, frame_column, read_episodes
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.encode import SIGHTINGS_PREFIX, encode
-from dynahoi_lerobot.evaluate.checkpoint import trained_for
+from dynahoi_lerobot.evaluate.checkpoint_rules import trained_for
 from dynahoi_lerobot.world.detector import Detector
 from tests.conftest import Once
 from tests.tools import dynahoi, flip_byte, generated, lerobot_train

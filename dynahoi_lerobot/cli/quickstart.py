@@ -27,7 +27,7 @@ from dynahoi_lerobot.core.machine import cores
 from dynahoi_lerobot.core.progress import progress_bar
 from dynahoi_lerobot.core.working_folder import working_folder
 from dynahoi_lerobot.dataset.paths import check_root
-from dynahoi_lerobot.evaluate.checkpoint import WEIGHTS
+from dynahoi_lerobot.evaluate.checkpoint_files import WEIGHTS
 from dynahoi_lerobot.evaluate.results import METRICS_FILE, read_results
 from dynahoi_lerobot.evaluate.table import metrics_table
 from dynahoi_lerobot.report.page import render_report

@@ -1,110 +1,43 @@
-"""Opening a checkpoint: what it could run is found before anything of it is loaded, and its weights
-must fit.
+"""Opening a checkpoint: nothing in it could run code, and its weights must fit.
 
-LeRobot calls whatever importable object a processor step names, ``subprocess.Popen`` included, and
-silently keeps random weights where a checkpoint has none. ``docs/notes/trust.md`` says what is
-refused here, and why.
+LeRobot silently keeps random weights where a checkpoint has none.
 """
 
-import inspect
 import logging
 import os
 import sys
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import fields
-from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 
 import numpy as np
 
-from dynahoi_lerobot.core.conventions import DETECTOR_IMAGE_SIZE_PX, EGO_VIEW
 from dynahoi_lerobot.core.escaping import shortened
-from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, EYE, IMAGE_PREFIX
-from dynahoi_lerobot.core.lerobot_internals import RENAMING_STEP
-from dynahoi_lerobot.core.reading import (
-    ReadError,
-    inside,
-    read_json,
-    read_object,
-    reading,
-    require,
-    sha256,
-    tensor_shapes,
-)  # fmt: skip
-from dynahoi_lerobot.core.registry import suggestion
-from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.renderers.views import OPTIONAL_VIEWS
-from dynahoi_lerobot.rules import Rules
-
-CONFIG = "config.json"
-WEIGHTS = "model.safetensors"
-TRAINING = "train_config.json"
-PIPELINES = ("policy_preprocessor.json", "policy_postprocessor.json")
-ADAPTER = "adapter_config.json"
-ADAPTER_WEIGHTS = "adapter_model.safetensors"
-"""What a folder holds in place of ``WEIGHTS`` if a LoRA adapter was trained (``--peft.*``)."""
-BASE = "base/"
-"""Names of the files of weights of an adapter's base begin so."""
-
-POLICY_TYPES = frozenset(
-    {
-        "act",
-        "actiontokens",
-        "diffusion",
-        "multi_task_dit",
-        "obact",
-        "pi0",
-        "pi05",
-        "smolvla",
-        "tdmpc",
-        "upvla",
-        "vqbet",
-        "xvla",
-    }
+from dynahoi_lerobot.core.reading import read_object, tensor_shapes
+from dynahoi_lerobot.evaluate.checkpoint_code import code_in, entries, refuse_remote_code
+from dynahoi_lerobot.evaluate.checkpoint_files import (
+    ADAPTER,
+    ADAPTER_WEIGHTS,
+    CONFIG,
+    PIPELINES,
+    WEIGHTS,
+    PolicyError,
+    base_folder,
+    described_folder,
+    download,
+    hint_at_checkpoint,
+    named_base,
 )
-"""Policies whose own code runs no Python files of the repositories that their configs name."""
+
 PLUGINS = {
     "obact": "lerobot_policy_obact",
     "actiontokens": "lerobot_policy_actiontokens",
     "upvla": "lerobot_policy_actiontokens",
 }
 """Our distribution that brings a policy type."""
-STEPS = ("lerobot.policies.", "lerobot.processor.")
-"""Modules whose processor steps a checkpoint may name without ``--trust``."""
-LOADING_STEPS = "lerobot.processor.hil_processor"
-"""One of them with a step that loads a second checkpoint."""
-ADAPTER_KEYS = frozenset(
-    {
-        "alpha_pattern",
-        "auto_mapping",
-        "base_model_name_or_path",
-        "bias",
-        "exclude_modules",
-        "fan_in_fan_out",
-        "inference_mode",
-        "init_lora_weights",
-        "layers_pattern",
-        "layers_to_transform",
-        "lora_alpha",
-        "lora_bias",
-        "lora_dropout",
-        "modules_to_save",
-        "peft_type",
-        "peft_version",
-        "r",
-        "rank_pattern",
-        "revision",
-        "target_modules",
-        "task_type",
-        "use_dora",
-        "use_rslora",
-    }
-)
-"""Keys of a LoRA adapter's config that say how layers change. Others name modules that PEFT would
-import (``megatron_core``) or files that it would read."""
 MOST = 10**4
 """Largest whole number in the config of a policy, ..."""
 TIMES = 100
@@ -119,29 +52,6 @@ STATISTICS = {
     "QUANTILE10": ("q10", "q90"),
 }
 """What a normalizer reads, by its mode."""
-
-CODE_KEYS = {
-    "auto_map": "has an auto_map, which names Python files to run",
-    "trust_remote_code": "sets trust_remote_code, which runs Python files of a repository",
-}
-"""Keys by which transformers is told, at any depth, to run Python files of a repository."""
-PICKLES = (".bin", ".pt", ".pth", ".pkl", ".ckpt")
-"""Suffixes of files that Python unpickles, which runs what they hold; LeRobot's own checkpoints
-have none."""
-CHECKOUT = Path(__file__).parents[2]
-"""Where checkpoints ship, if this package lies in a checkout."""
-VIEW_KEYS = {view: IMAGE_PREFIX + view for view in (EGO_VIEW, *OPTIONAL_VIEWS)}
-"""Keys of the images in datasets and environments, by view."""
-REMEDY = (
-    "give a pretrained_model folder, a Hub repository (user/name), or a baseline that "
-    "`dynahoi list experts` names"
-)
-
-
-class PolicyError(ReadError):
-    """A policy that cannot be loaded, or could run code while it is; the message says what in it,
-    and what would do.
-    """
 
 
 def checked_folder(path: str, *, trust: bool = False, revision: str | None = None) -> Path:
@@ -167,7 +77,7 @@ def checked_folder(path: str, *, trust: bool = False, revision: str | None = Non
         raise PolicyError(
             f"{described} holds no policy (no {CONFIG}){hint_at_checkpoint(described)}"
         )
-    for finding in _findings(described):
+    for finding in code_in(described):
         if not trust:
             raise PolicyError(
                 f"{finding}; give --trust only if you would run a program from the same source"
@@ -177,64 +87,11 @@ def checked_folder(path: str, *, trust: bool = False, revision: str | None = Non
     if base is not None:
         if (base / ADAPTER).exists():
             raise PolicyError(f"{described / ADAPTER} adapts {base}, which is an adapter itself")
-        name_of_base, its_revision = _named_base(described)
+        name_of_base, its_revision = named_base(described)
         checked_folder(name_of_base, trust=trust, revision=its_revision)
     if os.path.isdir(path):
         return described
-    return _download(path, ["*"] if trust else ["*.safetensors"], revision=described.name)
-
-
-def described_folder(path: str, revision: str | None = None) -> Path:
-    """Return a folder with the JSON files of a checkpoint, of which nothing has been checked.
-
-    Raises:
-        PolicyError: if there is no such folder or repository.
-    """
-    if os.path.isdir(path):
-        return Path(path)
-    if path.count("/") != 1:
-        hint = suggestion(path, EXPERTS.names())
-        raise PolicyError(f"there is no policy {path!r}{hint}; {REMEDY}")
-    return _download(path, ["*.json"], revision)
-
-
-def base_folder(folder: Path) -> Path | None:
-    """Return the folder of the checkpoint that an adapter in ``folder`` adapts, of which nothing
-    has been checked; None if that holds no adapter.
-
-    Raises:
-        PolicyError: if there is no such checkpoint.
-    """
-    if not (folder / ADAPTER).exists():
-        return None
-    name, revision = _named_base(folder)
-    try:
-        return described_folder(name, revision)
-    except PolicyError as error:
-        raise PolicyError(
-            f"{folder / ADAPTER} adapts {name!r}, which is in neither the current folder nor one "
-            f"above {folder}, and no repository; put the checkpoint there, or its full path into "
-            f"base_model_name_or_path"
-        ) from error
-
-
-def _named_base(folder: Path) -> tuple[str, str | None]:
-    """Return path or repository of the base that an adapter names, and its revision.
-
-    A relative path counts from where the training was started. That is the first of these that has
-    it: the folders above the adapter, the current one, and the checkout, whose checkpoints it may
-    name.
-    """
-    file = folder / ADAPTER
-    content = {"revision": None} | read_object(file)
-    with reading(file):
-        require(content, {"base_model_name_or_path": str | None, "revision": str | None})
-    name = content["base_model_name_or_path"]
-    if not name:
-        raise PolicyError(f"{file} names no base_model_name_or_path, which it adapts")
-    places = [*folder.resolve().parents, Path(), CHECKOUT]
-    existing = [str(place / name) for place in places if (place / name / CONFIG).is_file()]
-    return (existing[0] if existing else name), content["revision"]
+    return download(path, ["*"] if trust else ["*.safetensors"], revision=described.name)
 
 
 def load_policy(
@@ -255,7 +112,7 @@ def load_policy(
     from lerobot.policies.factory import get_policy_class, make_pre_post_processors
 
     if not trust:
-        _refuse_remote_code()
+        refuse_remote_code()
     config = _config(folder, settings)
     config.device = device or config.device
     base = base_folder(folder)
@@ -293,225 +150,6 @@ def _adapt(policy: Any, folder: Path) -> dict[str, Any]:
     adapted = PeftModel.from_pretrained(policy, str(folder), config=config).eval()
     policy.reset()  # which may hold a copy of the layers without the adapter
     return get_peft_model_state_dict(adapted)
-
-
-def folder_weights(folder: Path) -> dict[str, str]:
-    """Return the sha256 of every file of weights in a ``pretrained_model`` folder, by name, and
-    that of an adapter's base as ``base/NAME``.
-    """
-    base = base_folder(folder)
-    weights = {path.name: sha256(path) for path in sorted(folder.glob("*.safetensors"))}
-    return weights if base is None else weights | {BASE + WEIGHTS: sha256(base / WEIGHTS)}
-
-
-def renamed(folder: Path) -> dict[str, str]:
-    """Return LeRobot's rename map that a checkpoint was trained with: from the keys of datasets and
-    environments to the policy's own.
-    """
-    file = folder / PIPELINES[0]
-    steps = read_object(file, {"steps": list[dict[str, Any]]})["steps"] if file.exists() else []
-    with reading(file):
-        maps = [
-            (step.get("config") or {}).get("rename_map") or {}
-            for step in steps
-            if step.get("registry_name") == RENAMING_STEP
-        ]
-        names = {old: new for one in maps for old, new in one.items()}
-        require({"rename_map": names}, {"rename_map": dict[str, str]})
-    return names
-
-
-def trained_for(folder: Path, names: Mapping[str, str] | None = None) -> dict[str, Any]:
-    """Return the values of fields of `Rules` that a checkpoint was trained for, as far as it tells.
-
-    They are those that its config holds, or else those of the dataset that ``train_config.json``
-    names, if that is on this machine, or else those of its ``env``. What it sees of them its inputs
-    say: views, size [px] of the images, and whether it reads an ``environment_state`` at all.
-
-    Args:
-        folder: a ``pretrained_model`` folder.
-        names: the rename map; by default the checkpoint's own, see ``renamed``.
-    """
-    names = renamed(folder) if names is None else names
-    config = _read_if_there(folder / CONFIG)
-    training = _read_if_there(folder / TRAINING)
-    with reading(folder / (TRAINING if training else CONFIG)):
-        env = training.get("env") or {}
-        root = (training.get("dataset") or {}).get("root")
-        rules = config.get("rules") or _rules_of_dataset(root)
-        if not rules and env.get("type") == "dynahoi":
-            rules = env
-        hints = get_type_hints(Rules)
-        values = {name: rules[name] for name in hints if rules.get(name) is not None}
-        require(values, {name: hints[name] for name in values})
-        inputs = config.get("input_features") or {}
-        seen = {key for key in VIEW_KEYS.values() if names.get(key, key) in inputs}
-        values["views"] = tuple(view for view in OPTIONAL_VIEWS if VIEW_KEYS[view] in seen)
-        cameras = [
-            feature for key, feature in inputs.items() if key.startswith("observation.image")
-        ]
-        if not cameras:
-            values.pop("image_size", None)
-        elif not (names and "image_size" in values):
-            # a policy that was made for other cameras keeps the shape of theirs, and resizes
-            values["image_size"] = cameras[0]["shape"][-1]
-        if ENVIRONMENT_STATE not in inputs:
-            values["environment_state"] = ""
-        elif values.get("environment_state") == EYE and not cameras:
-            values["image_size"] = DETECTOR_IMAGE_SIZE_PX
-    return values
-
-
-def _read_if_there(file: Path) -> dict[str, Any]:
-    """Return the object in a JSON file, an empty one if there is no such file."""
-    return read_object(file) if file.exists() else {}
-
-
-def hint_at_checkpoint(folder: Path) -> str:
-    """Return the end of a message about a folder that is no checkpoint; empty if there is none
-    below it.
-    """
-    nested = sorted(folder.glob(f"**/pretrained_model/{CONFIG}"))
-    return f"; did you mean {nested[-1].parent}?" if nested else ""
-
-
-def _rules_of_dataset(root: str | None) -> dict[str, Any]:
-    """Return the rules of the dataset in ``root``, as far as there is one."""
-    # its package brings in PyAV, which only checkpoints need
-    from dynahoi_lerobot.dataset.manifest import Manifest
-
-    with suppress(ReadError):
-        return Manifest.read(Path(root)).rules if root else {}
-    return {}
-
-
-def _download(repository: str, patterns: list[str], revision: str | None = None) -> Path:
-    import huggingface_hub
-
-    try:
-        folder = huggingface_hub.snapshot_download(
-            repository,
-            revision=revision,
-            allow_patterns=patterns,
-            ignore_patterns=["*training_state*"],
-        )
-    except Exception as error:
-        raise PolicyError(
-            f"there is no policy {repository!r} ({type(error).__name__}); {REMEDY}"
-        ) from error
-    return Path(folder)
-
-
-# -- what could run --------------------------------------------------------------------------------
-
-
-def _findings(folder: Path) -> Iterator[str]:
-    """Yield what could run code while the checkpoint is loaded."""
-    for file in sorted(folder.rglob("*")):
-        if file.suffix.lower() in PICKLES:
-            yield f"{file} is a pickle, which runs code when it is opened"
-        elif file.suffix == ".json":
-            keys = {key for key, value in _entries(read_json(file)) if key == "auto_map" or value}
-            yield from (f"{file} {problem}" for key, problem in CODE_KEYS.items() if key in keys)
-    kind = str(read_object(folder / CONFIG).get("type"))
-    if kind not in POLICY_TYPES:
-        yield (
-            f"{folder / CONFIG} is of type {kind!r}, which is not on the list of policies "
-            f"known to be safe"
-        )
-    if (folder / ADAPTER).exists():
-        yield from _adapter_findings(folder / ADAPTER)
-    _register_steps(kind)
-    for file in (folder / name for name in PIPELINES):
-        if file.exists():
-            yield from (f"{file} {problem}" for problem in _pipeline_findings(file))
-
-
-def _adapter_findings(file: Path) -> Iterator[str]:
-    """Yield what of an adapter's config could make PEFT import modules or load further files."""
-    try:
-        from peft import LoraConfig
-    except ImportError as error:
-        raise PolicyError(f"playing the adapter {file.parent} needs peft ({error})") from error
-    content = read_object(file)
-    usual = vars(LoraConfig())
-    if content.get("peft_type") != "LORA":
-        yield f"{file} is of type {content.get('peft_type')!r}, not LORA"
-    for key, value in content.items():
-        if key not in ADAPTER_KEYS and value and value != usual.get(key):
-            yield f"{file} sets {key}, which is not one of the keys known to be safe"
-
-
-def _entries(content: Any, key: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield every value of JSON at any depth, with the key that it is below."""
-    yield key, content
-    if isinstance(content, dict | list):
-        for name, value in (
-            content.items() if isinstance(content, dict) else ((key, value) for value in content)
-        ):
-            yield from _entries(value, name)
-
-
-def _register_steps(kind: str) -> None:
-    """Import what registers the processor steps of a type of policy."""
-    try:
-        from lerobot.policies.factory import get_policy_class
-        from lerobot.utils.import_utils import register_third_party_plugins
-    except ImportError as error:
-        raise PolicyError(
-            f"playing a policy needs LeRobot ({error}); install dynahoi_lerobot[lerobot]"
-        ) from error
-    register_third_party_plugins()
-    with suppress(Exception):  # loading it will say what is wrong with the type
-        get_policy_class(kind)
-
-
-def _pipeline_findings(file: Path) -> Iterator[str]:
-    from lerobot.processor import ProcessorStepRegistry
-
-    for step in read_object(file, {"steps": list[dict[str, Any]]})["steps"]:
-        name = step.get("registry_name", step.get("class"))
-        config = step.get("config", {})
-        if not isinstance(config, dict):
-            raise PolicyError(
-                f"{file} gives the step {name!r} the config {config!r}, which is no mapping"
-            )
-        registered = str(step.get("registry_name")) in ProcessorStepRegistry.list()
-        kind: Any = ProcessorStepRegistry.get(step["registry_name"]) if registered else object
-        if kind.__module__.startswith(STEPS) and kind.__module__ != LOADING_STEPS:
-            yield from _step_findings(name, kind, config)
-        else:
-            yield f"names the processor step {name!r}, which is not one of those known to be safe"
-        if "state_file" in step:
-            state = step["state_file"]
-            try:
-                inside(file.parent, state)
-            except ReadError:
-                yield f"names the state file {state!r}, which is not inside the checkpoint"
-
-
-def _step_findings(name: object, kind: Any, config: dict[str, Any]) -> Iterator[str]:
-    """Yield what of a config one of LeRobot's own steps does not have, or would run code for."""
-    parameters = inspect.signature(kind).parameters
-    surplus = sorted(config.keys() - parameters.keys())
-    if surplus:
-        yield f"gives the step {name!r} the key {surplus[0]!r}, which it does not have"
-        return
-    if "trust_remote_code" in parameters and config.get("trust_remote_code") is not False:
-        yield f"gives the step {name!r} no false trust_remote_code, so it may run Python files"
-
-
-def _refuse_remote_code() -> None:
-    """Let transformers, if it is installed, refuse a repository with code of its own at once,
-    instead of asking at the terminal whether to run it.
-    """
-    if find_spec("transformers"):
-        from transformers import dynamic_module_utils
-
-        dynamic_module_utils.TIME_OUT_REMOTE_CODE = 0  # [s] to wait for an answer
-
-
-# -- what does not fit -----------------------------------------------------------------------------
 
 
 def _config(folder: Path, settings: Sequence[str]) -> Any:
@@ -557,7 +195,7 @@ def _check_sizes(file: Path, content: Mapping[str, Any], defaults: Mapping[str, 
         most = max(MOST, TIMES * default) if type(default) is int else MOST
         if isinstance(value, list | dict):
             most = MOST_NESTED
-        for _, number in _entries(value):
+        for _, number in entries(value):
             if type(number) is int and number > most:
                 raise PolicyError(f"{file} says {name} is {number}; it must be {most} or less")
 

@@ -26,8 +26,9 @@ from dynahoi_lerobot.core.lerobot_internals import (
     prepare_guidance,
     queued_frame,
 )
-from dynahoi_lerobot.evaluate import checkpoint
-from dynahoi_lerobot.evaluate.checkpoint import PolicyError
+from dynahoi_lerobot.evaluate.checkpoint import checked_folder, load_policy, reason
+from dynahoi_lerobot.evaluate.checkpoint_files import PolicyError, folder_weights
+from dynahoi_lerobot.evaluate.checkpoint_rules import trained_for
 
 
 def _in_a_sentence[**P, R](method: Callable[P, R]) -> Callable[P, R]:
@@ -42,7 +43,7 @@ def _in_a_sentence[**P, R](method: Callable[P, R]) -> Callable[P, R]:
         except PolicyError:
             raise
         except Exception as error:
-            raise PolicyError(f"the policy cannot play: {checkpoint.reason(error)}") from error
+            raise PolicyError(f"the policy cannot play: {reason(error)}") from error
 
     return call
 
@@ -73,12 +74,10 @@ class PolicyAgent(Agent):
         arguments and errors.
         """
         self.name = path
-        folder = checkpoint.checked_folder(path, trust=trust)
-        self._policy, self._before, self._after = checkpoint.load_policy(
-            folder, device, settings, trust=trust
-        )
-        self.weights = checkpoint.folder_weights(folder)
-        self.trained_for = checkpoint.trained_for(folder)
+        folder = checked_folder(path, trust=trust)
+        self._policy, self._before, self._after = load_policy(folder, device, settings, trust=trust)
+        self.weights = folder_weights(folder)
+        self.trained_for = trained_for(folder)
         self._chunk: Any = None
         self._frame = 0
         self._worlds = np.arange(0)  # that the policy plays

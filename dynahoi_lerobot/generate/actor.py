@@ -11,13 +11,13 @@ from pathlib import Path
 import dynahoi_lerobot
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE
 from dynahoi_lerobot.core.reading import read_object, sha256
-from dynahoi_lerobot.evaluate.checkpoint import (
+from dynahoi_lerobot.evaluate.checkpoint import checked_folder
+from dynahoi_lerobot.evaluate.checkpoint_files import (
     ADAPTER,
     CONFIG,
     WEIGHTS,
     PolicyError,
     base_folder,
-    checked_folder,
 )
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.sampling.fingerprint import hash_packages

@@ -15,7 +15,7 @@ from dynahoi_lerobot.core.control_mode import from_grasp, to_grasp
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE
 from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.env.vector_env import DynahoiEnv, DynahoiVectorEnv
-from dynahoi_lerobot.evaluate.checkpoint import trained_for
+from dynahoi_lerobot.evaluate.checkpoint_rules import trained_for
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.rollout.loop import evaluate, record
 from dynahoi_lerobot.rollout.recording import Recording

@@ -15,7 +15,9 @@ from safetensors.torch import load_file, save_file
 
 from dynahoi_lerobot.core.reading import sha256
 from dynahoi_lerobot.dataset import read_episodes
-from dynahoi_lerobot.evaluate.checkpoint import PolicyError, checked_folder, trained_for
+from dynahoi_lerobot.evaluate.checkpoint import checked_folder
+from dynahoi_lerobot.evaluate.checkpoint_files import PolicyError
+from dynahoi_lerobot.evaluate.checkpoint_rules import trained_for
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.generate.actor import actor_name

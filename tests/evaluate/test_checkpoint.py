@@ -18,7 +18,9 @@ from lerobot.utils.import_utils import register_third_party_plugins
 from safetensors.torch import load_file, save_file
 
 from dynahoi_lerobot.dataset.manifest import Manifest
-from dynahoi_lerobot.evaluate.checkpoint import WEIGHTS, PolicyError, checked_folder, trained_for
+from dynahoi_lerobot.evaluate.checkpoint import checked_folder
+from dynahoi_lerobot.evaluate.checkpoint_files import WEIGHTS, PolicyError
+from dynahoi_lerobot.evaluate.checkpoint_rules import trained_for
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.evaluate.results import read_results
 from tests.checkpoints import FEATURES, SHIPPED, saved, tiny_act

@@ -10,7 +10,7 @@ from dynahoi_lerobot.core.lerobot_internals import (
     given_words,
     mistakes_in_a_sentence,
 )
-from dynahoi_lerobot.evaluate.checkpoint import CONFIG, described_folder, hint_at_checkpoint
+from dynahoi_lerobot.evaluate.checkpoint_files import CONFIG, described_folder, hint_at_checkpoint
 from lerobot_env_dynahoi.configuration_dynahoi import DynahoiEnvConfig
 
 DESCRIBED = ("features", "features_map")

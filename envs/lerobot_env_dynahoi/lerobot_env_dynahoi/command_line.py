@@ -13,13 +13,8 @@ from lerobot.configs import PreTrainedConfig
 
 from dynahoi_lerobot.core.lerobot_internals import command_name, given, given_policy, given_type
 from dynahoi_lerobot.core.reading import ReadError, read_object, read_yaml
-from dynahoi_lerobot.evaluate.checkpoint import (
-    CONFIG,
-    described_folder,
-    folder_weights,
-    renamed,
-    trained_for,
-)
+from dynahoi_lerobot.evaluate.checkpoint_files import CONFIG, described_folder, folder_weights
+from dynahoi_lerobot.evaluate.checkpoint_rules import renamed, trained_for
 from dynahoi_lerobot.rollout.inference import Inference, StepwiseInference
 
 
