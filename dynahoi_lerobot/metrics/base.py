@@ -6,10 +6,10 @@ import inspect
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 from dynahoi_lerobot.core.episode import Episode
-from dynahoi_lerobot.core.registry import Registry
+from dynahoi_lerobot.core.registry import Registry, known
 
 Direction = Literal["higher", "lower"]
 Aggregation = Literal["rate", "mean"]
@@ -55,7 +55,8 @@ class Metric:
             allowed = "0 or 1" if self.aggregation == "rate" else f"within {self.bounds}"
             raise ValueError(
                 f"metric {self.name} of seed {episode.meta.seed} is {float(value)}, and its "
-                f"decorator says {allowed}; correct the bounds or the formula"
+                f"decorator says {allowed}; correct the bounds or the formula, or return None for "
+                "episodes to which it does not apply"
             )
         return float(value)
 
@@ -94,7 +95,12 @@ def metric(
         name, unit, direction, aggregation, condition: as ``Metric`` has them.
         bounds: least and greatest possible value, in ``unit``; by default 0 and 1 of a rate or a
             ``fraction``, and any finite value otherwise.
+
+    Raises:
+        ValueError: for another direction or aggregation.
     """
+    known("direction", direction, dict.fromkeys(get_args(Direction)))
+    known("aggregation", aggregation, dict.fromkeys(get_args(Aggregation)))
     if bounds is None:
         is_share = aggregation == "rate" or unit == "fraction"
         bounds = (0.0, 1.0) if is_share else (-math.inf, math.inf)

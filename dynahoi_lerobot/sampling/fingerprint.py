@@ -64,7 +64,7 @@ def code_fingerprint() -> str:
 
 def recipe_code(recipe: Recipe) -> str:
     """Return ``code_fingerprint``, with the modules of motions and objects that a recipe names and
-    somebody else registered.
+    that belong to no installed plugin.
     """
     named = [
         *(MOTIONS[name] for name in recipe.motions),
@@ -87,14 +87,13 @@ def surroundings() -> dict[str, str]:
 
 
 def extension_fingerprint(entries: Iterable[object]) -> str:
-    """Return hashes of the files outside this package that define some of ``entries``; empty if
-    there are none.
+    """Return hashes of the files that define some of ``entries`` and that ``code_fingerprint``
+    leaves out, those of neither this package nor a plugin; empty if there are none.
     """
+    counted = {"dynahoi_lerobot", *plugin_packages()}
     modules = {entry.__module__ for entry in entries}
     return "".join(
-        _module_hash(module)
-        for module in sorted(modules)
-        if not module.startswith("dynahoi_lerobot.")
+        _module_hash(module) for module in sorted(modules) if module.split(".")[0] not in counted
     )
 
 

@@ -336,7 +336,7 @@ def test_a_value_that_its_own_decorator_excludes_is_refused_when_it_is_measured(
 ):
     """Written into results, it would make them unreadable."""
     odd = Metric("V_palm", lambda _: value, "score", "higher", aggregation, bounds)
-    with pytest.raises(ValueError, match=f"V_palm of seed 0 is {value}"):
+    with pytest.raises(ValueError, match=f"V_palm of seed 0 is {value}.* or return None"):
         odd(hand_made(LINE))
 
 
@@ -355,6 +355,13 @@ def test_a_quantity_has_no_bounds_unless_given_and_a_share_has_0_and_1(
     one = metric("V_palm", unit=unit, direction="lower", aggregation=aggregation)(lambda _: 0.0)
     values = [-15.0, 0.0, 0.5, 1.0, 15.0, float("nan"), float("inf")]
     assert [value for value in values if one.admits(value)] == admitted
+
+
+def test_an_unknown_direction_or_aggregation_is_refused_with_the_known_ones():
+    with pytest.raises(ValueError, match="unknown direction 'up'; known: higher, lower"):
+        metric("V_palm", unit="s", direction="up", aggregation="mean")
+    with pytest.raises(ValueError, match=r"unknown aggregation 'median'.*; known: rate, mean"):
+        metric("V_palm", unit="s", direction="lower", aggregation="median")
 
 
 @pytest.mark.parametrize("name", METRICS.names())

@@ -16,6 +16,7 @@ def main(folder: Path) -> None:
     assert "a_drift" not in DynahoiEnvConfig(task="straight_line").recipe().motion_names
     assert DynahoiEnvConfig(task="a_drift,lob").recipe().motions == ("lob", "a_drift")
     data = generated(folder / "data", "--image-size", "0", "--motions", "a_drift")
+    dynahoi("verify", data)
     policy = lerobot_train(data, folder / "trained", {"type": "forward"}, env_eval_freq=0)
     evaluate = ["evaluate", "--policy", policy, "--out", folder / "results"]
     evaluate += ["--motions", "a_drift", "--episodes", "2"]
