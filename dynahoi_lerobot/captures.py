@@ -31,8 +31,6 @@ from dynahoi_lerobot.motions import Motion, PhysicalMotion
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts
 from dynahoi_lerobot.scene.model import ENVIRONMENT, HAND_BIT
 
-CAPTURES: Registry[type[CaptureRule]] = Registry("capture rule")
-
 NO_EVENT = -1
 HELD_FRAMES = CONTROL_HZ // 2
 """A grip counts once it has lasted half a second."""
@@ -150,6 +148,9 @@ class CaptureRule(ABC):
             return np.zeros(len(frames), bool)
         decisive = bisect_left(frames, True, key=lambda count: self.success(track.first(count)))
         return np.arange(len(frames)) >= decisive
+
+
+CAPTURES: Registry[type[CaptureRule]] = Registry("capture rule", CaptureRule)
 
 
 @CAPTURES.register("attach")

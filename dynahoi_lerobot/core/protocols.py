@@ -5,6 +5,7 @@ whoever moves it; protocols say what the hand may see, and when.
 """
 
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
@@ -29,20 +30,30 @@ class ControlClass:
     joint_speed_rad_s: float
     latency_ms: float
 
+    def __post_init__(self) -> None:
+        """Refuse limits that no hand could keep."""
+        for name in ("palm_speed_m_s", "joint_speed_rad_s"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be above 0, got {getattr(self, name)}")
+        if not self.latency_ms >= 0:
+            raise ValueError(f"latency_ms must be 0 or more, got {self.latency_ms}")
+
     @property
     def latency_frames(self) -> int:
         """The latency in control steps, rounded up."""
         return frames_until(self.latency_ms / 1000)
 
 
-CONTROL_CLASSES = {
-    control.name: control
-    for control in (
-        ControlClass("unlimited", palm_speed_m_s=2.0, joint_speed_rad_s=20.0, latency_ms=0.0),
-        ControlClass("standard", palm_speed_m_s=0.5, joint_speed_rad_s=20.0, latency_ms=0.0),
-        ControlClass("late", palm_speed_m_s=0.5, joint_speed_rad_s=20.0, latency_ms=150.0),
-    )
-}
+CONTROL_CLASSES = MappingProxyType(
+    {
+        control.name: control
+        for control in (
+            ControlClass("unlimited", palm_speed_m_s=2.0, joint_speed_rad_s=20.0, latency_ms=0.0),
+            ControlClass("standard", palm_speed_m_s=0.5, joint_speed_rad_s=20.0, latency_ms=0.0),
+            ControlClass("late", palm_speed_m_s=0.5, joint_speed_rad_s=20.0, latency_ms=150.0),
+        )
+    }
+)
 """``unlimited`` is the paper's world, as far as it can be told; ``late`` has the latency of a
 camera, a network and an arm. At 2 m/s a memoryless pursuit of the true position catches everything;
 at 0.5 m/s it does not."""

@@ -10,7 +10,7 @@ Other distributions may register as well, by *plugins*: modules that entry point
 import difflib
 import importlib
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from types import MappingProxyType
@@ -46,15 +46,26 @@ class Registry[T]:
     entry point names it, when a name is first looked up here.
     """
 
-    def __init__(self, noun: str, slow: Mapping[str, str] = MappingProxyType({})) -> None:
+    def __init__(
+        self,
+        noun: str,
+        base: type,
+        *,
+        needs: Sequence[str] = (),
+        slow: Mapping[str, str] = MappingProxyType({}),
+    ) -> None:
         """Create an empty registry.
 
         Args:
             noun: names an entry in error messages.
+            base: what every entry is an instance or a subclass of.
+            needs: attributes that every entry defines.
             slow: modules by the name that each registers, which are imported when that name is
                 looked up, because the import takes long.
         """
         self.noun = noun
+        self._base = base
+        self._needs = needs
         self._slow = slow
         self._entries: dict[str, T] = {}
 
@@ -63,10 +74,12 @@ class Registry[T]:
         ``name``.
 
         Raises:
-            ValueError: if another object already has the name.
+            ValueError: if another object already has the name, or the object is not what the
+                registry holds.
         """
 
         def decorate(entry: E) -> E:
+            self._check_kind(name, entry)
             taken = self._taken(name, entry)
             if taken is not None:
                 raise ValueError(
@@ -79,6 +92,16 @@ class Registry[T]:
             return entry
 
         return decorate
+
+    def _check_kind(self, name: str, entry: object) -> None:
+        fits = issubclass if isinstance(entry, type) else isinstance
+        if not fits(entry, self._base):  # type: ignore[arg-type]
+            raise ValueError(
+                f"{self.noun} {name!r} must be of type {self._base.__name__}, got {entry!r}"
+            )
+        missing = [attribute for attribute in self._needs if not hasattr(entry, attribute)]
+        if missing:
+            raise ValueError(f"{self.noun} {name!r} must define {missing[0]}; {entry!r} does not")
 
     def _taken(self, name: str, entry: object) -> object:
         """Return what else has ``name``; None if nothing has. A reloaded module takes its own."""

@@ -28,6 +28,11 @@ fails."""
 FEWEST_MARKED = 20
 """A row of fewer episodes is neither marked as the best nor compared with marked rows."""
 
+RESTRICTIONS = ("motions", "objects")
+"""Fields of a recipe by which only some of a split's episodes are played."""
+ALL = "all"
+MOST_NAMED = 3
+
 MOST_COLUMNS = 3
 """So many evaluations stand side by side in a terminal of 100 columns."""
 
@@ -105,9 +110,13 @@ def metrics_table(
     It does if the row is better than every other one under equal conditions, paired by episode,
     with p below ``SIGNIFICANT``; rows of fewer than ``FEWEST_MARKED`` episodes do not count.
 
-    Conditions that all evaluations share are in the caption, so that the metrics fit the page.
+    Conditions that all evaluations share are in the caption, so that the metrics fit the page; it
+    names motions and objects only where not all of them were played.
     """
     played = [conditions(result) | {"n": str(len(result.rows))} for result in results]
+    for name in RESTRICTIONS:
+        if all(told[name] == ALL for told in played):
+            played = [{key: told[key] for key in told if key != name} for told in played]
     differing = [name for name in played[0] if len({told[name] for told in played}) > 1]
     shared = [
         f"{_titled(name)} {value}" for name, value in played[0].items() if name not in differing
@@ -181,7 +190,22 @@ def columns_for(results: Sequence[Results]) -> tuple[str, ...]:
 
 def conditions(result: Results) -> dict[str, str]:
     """Return what an evaluation played, by name: numbers of other episodes do not compare."""
-    return {"split": result.info.split, **result.conditions, "benchmark": result.info.benchmark}
+    restricted = {name: _listed(name, result.info.recipe[name]) for name in RESTRICTIONS}
+    return {
+        "split": result.info.split,
+        **restricted,
+        **result.conditions,
+        "benchmark": result.info.benchmark,
+    }
+
+
+def _listed(restriction: str, names: Sequence[str]) -> str:
+    """Return the names of the motions or objects that were played, or how many, if they are many;
+    none stand for all of them.
+    """
+    if len(names) > MOST_NAMED:
+        return f"{len(names)} {restriction}"
+    return ", ".join(names) or ALL
 
 
 def _titled(condition: str) -> str:

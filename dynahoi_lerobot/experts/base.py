@@ -3,4 +3,4 @@
 from dynahoi_lerobot.core.agent import Expert
 from dynahoi_lerobot.core.registry import Registry
 
-EXPERTS: Registry[type[Expert]] = Registry("expert")
+EXPERTS: Registry[type[Expert]] = Registry("expert", Expert)

@@ -147,7 +147,7 @@ class Hand(ABC):
         return closure, np.minimum.accumulate(np.transpose(distance), axis=1)
 
 
-HANDS: Registry[Hand] = Registry("hand")
+HANDS: Registry[Hand] = Registry("hand", Hand)
 
 
 def add_palm(spec: mujoco.MjSpec, fingers_kg: float) -> mujoco.MjsBody:

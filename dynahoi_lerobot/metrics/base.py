@@ -77,7 +77,7 @@ class Metric:
         return " ".join(self.doc.partition("\n\n")[0].split())
 
 
-METRICS: Registry[Metric] = Registry("metric")
+METRICS: Registry[Metric] = Registry("metric", Metric)
 
 
 def metric(

@@ -133,7 +133,7 @@ class Motion(ABC):
         return json.dumps(asdict(self), sort_keys=True)  # type: ignore[call-overload]
 
 
-MOTIONS: Registry[type[Motion]] = Registry("motion")
+MOTIONS: Registry[type[Motion]] = Registry("motion", Motion, needs=("category", "phrase"))
 
 
 class PrescribedMotion(Motion):

@@ -94,7 +94,7 @@ class ObjectType:
         )
 
 
-OBJECTS: Registry[ObjectType] = Registry("object")
+OBJECTS: Registry[ObjectType] = Registry("object", ObjectType)
 
 
 def object_type(

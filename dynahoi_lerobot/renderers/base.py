@@ -52,6 +52,7 @@ class Renderer(ABC):
 
 RENDERERS: Registry[type[Renderer]] = Registry(
     "renderer",
+    Renderer,
     slow={
         "flat": "dynahoi_lerobot.renderers.tiles",
         "tiles": "dynahoi_lerobot.renderers.tiles",

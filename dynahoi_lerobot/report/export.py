@@ -31,7 +31,7 @@ STATISTICS = (
     f"resamples, seed {SEED}). p: exact McNemar test for rates, paired permutation test for means, "
     f"not corrected for the number of comparisons."
 )
-PLAYED = ("split", *CONDITIONS, "benchmark")
+PLAYED = ("split", *table.RESTRICTIONS, *CONDITIONS, "benchmark")
 """Columns that describe the episodes played."""
 NUMBERS = ("value", "low", "high", "n", "p_value")
 COLUMNS: tuple[str, ...] = (

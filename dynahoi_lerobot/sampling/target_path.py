@@ -10,7 +10,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from dynahoi_lerobot.core.conventions import CONTROL_HZ, SUBSTEPS
-from dynahoi_lerobot.motions import PhysicalMotion
+from dynahoi_lerobot.motions import Motion, PhysicalMotion
 from dynahoi_lerobot.scene.model import ENVIRONMENT
 from dynahoi_lerobot.scene.scene import compile_scene
 from dynahoi_lerobot.scene.world_fields import WorldFields
@@ -87,7 +87,7 @@ class RollAhead:
         if i in self._rows:
             return [self._paths_w[self._rows[i]][:frames]]
         times = np.arange(frames) / CONTROL_HZ
-        return [motion.position(times) for motion in self._candidates[i].motions]  # type: ignore[attr-defined]
+        return [_path(motion, times) for motion in self._candidates[i].motions]
 
     def _simulate(self, wanted: dict[int, int]) -> None:
         """Roll rows of the batch until so many frames of each are known, in each call as far as all
@@ -121,3 +121,18 @@ class RollAhead:
             self._batch = Batch(self._scene.model, nsim=rows, nthread=self._threads)
             self._fields = WorldFields(self._batch, self._scene)
         return self._batch, self._fields
+
+
+def _path(motion: Motion, times: np.ndarray) -> np.ndarray:
+    """Return where a prescribed motion is at ``times`` (K,) [s], (K, 3) [m], world.
+
+    Raises:
+        ValueError: if the motion returns positions of another shape.
+    """
+    positions: np.ndarray = motion.position(times)  # type: ignore[attr-defined]
+    if positions.shape != (len(times), 3):
+        raise ValueError(
+            f"motion {motion.name!r} must return positions of shape {(len(times), 3)}, got "
+            f"{positions.shape}"
+        )
+    return positions

@@ -10,6 +10,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+from dynahoi_lerobot.core.agent import Agent
+from dynahoi_lerobot.experts import EXPERTS
+from dynahoi_lerobot.motions import MOTIONS, Motion
+from dynahoi_lerobot.objects import OBJECTS
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 from tests.tools import install, python
 
@@ -58,6 +64,24 @@ def test_a_plugin_is_listed_and_a_broken_one_is_named(tmp_path: Path) -> None:
     assert "the plugin 'greedy_motion' of broken" in listed.stderr
     assert all(line.startswith("dynahoi list: ") for line in listed.stderr.splitlines())
     assert "the motion name 'lob' is taken" in listed.stderr
+
+
+@pytest.mark.parametrize(
+    ("registry", "entry", "message"),
+    [
+        (EXPERTS, type("Late", (Agent,), {}), "expert 'odd' must be of type Expert, got .*Late"),
+        (OBJECTS, "ball", "object 'odd' must be of type ObjectType, got 'ball'"),
+        (
+            MOTIONS,
+            type("Odd", (Motion,), {"category": "hybrid"}),
+            "motion 'odd' must define phrase",
+        ),
+    ],
+)
+def test_an_entry_of_another_kind_is_refused_where_it_is_registered(registry, entry, message):
+    with pytest.raises(ValueError, match=message):
+        registry.register("odd")(entry)
+    assert "odd" not in registry
 
 
 def test_an_edit_in_any_module_of_a_plugins_package_changes_the_code_fingerprint(

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -111,13 +112,13 @@ def test_bootstrap_covers_the_true_mean_about_95_times_of_100():
     assert 0.88 <= hits / 200 <= 0.98
 
 
-def results(policy: str = "reach", capture: str = "attach") -> Results:
+def results(policy: str = "reach", capture: str = "attach", **recipe: Any) -> Results:
     rows = []
     for seed in range(4):
         episode = synthetic_episode(seed, image_size=None, miss_m=0.05 * (seed == 0))
         meta = {"capture": capture, "motion": ("constant", "lob")[seed % 2]}
         rows.append(episode_row(changed(episode, meta)))
-    return Results(Path("run"), run_info(policy, capture=capture), tuple(rows), ())
+    return Results(Path("run"), run_info(policy, capture=capture, **recipe), tuple(rows), ())
 
 
 def test_numbers_are_printed_in_the_papers_units():
@@ -143,6 +144,18 @@ def test_many_evaluations_are_lines_and_few_are_columns_under_what_they_share():
     assert header.split() == ["policy", "a", "b", "c"]
     assert [line.split()[0] for line in lines] == list(MAIN_COLUMNS)
     assert all(len(line) == len(rule) <= 100 for line in lines)
+
+
+def test_motions_and_objects_are_named_where_some_are_left_out():
+    some = {"motions": ("lob", "bounce"), "objects": ("ball",)}
+    many = {"motions": ("lob", "bounce", "constant", "lateral")}
+    everything = results()
+    restricted = results(**some)
+    assert "motions" not in results_table([everything])
+    assert "motions lob, bounce, objects ball" in results_table([restricted])
+    _, *lines = results_table([everything, restricted, results(**many)]).split("\n")
+    rows = [" ".join(line.split()) for line in lines]
+    assert {"motions all lob, bounce 4 motions", "objects all ball all"} <= {*rows}
 
 
 def test_the_contact_rule_leads_with_holding():

@@ -95,3 +95,9 @@ def _assert_in_arena(path: np.ndarray) -> None:
 
 def _as_tuple(value):
     return tuple(_as_tuple(v) for v in value) if isinstance(value, list) else value
+
+
+def test_a_path_of_another_shape_is_refused_by_name(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(MOTIONS["constant"], "position", lambda self, times: np.zeros(len(times)))
+    with pytest.raises(ValueError, match=r"'constant' must return positions of shape \(\d+, 3\)"):
+        sample_specs(Recipe(motions=("constant",)), [0])

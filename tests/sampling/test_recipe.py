@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import dynahoi_lerobot
+from dynahoi_lerobot.core.protocols import ControlClass
 from dynahoi_lerobot.objects import OBJECTS
 from dynahoi_lerobot.rollout.recording import Recording, load_recording
 from dynahoi_lerobot.sampling.fingerprint import (
@@ -55,6 +56,15 @@ def test_a_bad_value_is_named_in_one_sentence(values: dict):
     ) as error:
         Recording.of(**values)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("limits", "message"),
+    [((-0.8, 20, 0), "palm_speed_m_s must be above 0, got -0.8"), ((1, 20, -1), "latency_ms")],
+)
+def test_a_control_class_that_no_hand_could_keep_is_refused(limits, message):
+    with pytest.raises(ValueError, match=message):
+        ControlClass("swift", *limits)
 
 
 def test_a_motion_without_a_fitting_object_is_refused():
