@@ -17,6 +17,12 @@ TASK = "plan.json"
 """Files of a working folder besides the work: its process's lock and its task."""
 
 
+def workspace_path(root: Path) -> Path:
+    """Return where a dataset is made until ``root`` holds all of it."""
+    root = root.absolute()
+    return root.with_name(f"{root.name}.partial")
+
+
 @contextmanager
 def working_folder(path: Path, task: dict[str, Any]) -> Iterator[Path]:
     """Make a folder, or enter the folder of an interrupted run of the same task, given as JSON

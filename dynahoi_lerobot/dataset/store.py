@@ -23,6 +23,7 @@ from dynahoi_lerobot.core.reading import (
     regular,
     require,
 )  # fmt: skip
+from dynahoi_lerobot.core.working_folder import workspace_path
 from dynahoi_lerobot.dataset.columns import (
     Features,
     Table,
@@ -189,7 +190,11 @@ class Store:
         """Look at the dataset below ``root``; FileNotFoundError if there is none."""
         self.root = root
         if not (root / INFO_PATH).exists():
-            raise FileNotFoundError(f"{root} is no LeRobot dataset: {INFO_PATH} is missing")
+            workspace = workspace_path(root)
+            hint = f"; repeat the command that is making it in {workspace}"
+            raise FileNotFoundError(
+                f"{root} is no LeRobot dataset: {INFO_PATH} is missing{hint * workspace.is_dir()}"
+            )
 
     @cached_property
     def info(self) -> dict[str, Any]:

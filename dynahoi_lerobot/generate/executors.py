@@ -17,12 +17,8 @@ from datatrove.executor.ray import RayPipelineExecutor
 from multiprocess.process import parent_process
 
 from dynahoi_lerobot.core.arguments import CommandError
-from dynahoi_lerobot.generate.pipeline import (
-    exit_with_parent,
-    finished,
-    open_workspace,
-    workspace_path,
-)
+from dynahoi_lerobot.core.working_folder import workspace_path
+from dynahoi_lerobot.generate.pipeline import exit_with_parent, finished, open_workspace
 from dynahoi_lerobot.generate.plan import GenerationPlan, Record, ShardMaker
 from dynahoi_lerobot.sampling.fingerprint import code_fingerprint
 

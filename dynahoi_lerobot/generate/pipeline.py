@@ -23,7 +23,14 @@ from pathlib import Path
 from dynahoi_lerobot.core.arguments import CommandError
 from dynahoi_lerobot.core.files import check_output
 from dynahoi_lerobot.core.reading import ReadError
-from dynahoi_lerobot.core.working_folder import LOCK, TASK, differences, read_task, working_folder
+from dynahoi_lerobot.core.working_folder import (
+    LOCK,
+    TASK,
+    differences,
+    read_task,
+    working_folder,
+    workspace_path,
+)
 from dynahoi_lerobot.dataset.manifest import Manifest, file_problems
 from dynahoi_lerobot.generate.plan import SHARD, GenerationPlan, Progress, Record, ShardMaker
 
@@ -184,11 +191,6 @@ def exit_with_parent(parent: int) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-
-
-def workspace_path(root: Path) -> Path:
-    """Return where a dataset's shards are made."""
-    return root.with_name(f"{root.name}.partial")
 
 
 def open_workspace(plan: GenerationPlan, root: Path) -> AbstractContextManager[Path]:

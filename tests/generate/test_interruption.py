@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from dynahoi_lerobot.dataset.manifest import hash_files
+from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.generate.pipeline import generate, open_workspace
 from tests.generate.recorder import PLAN, record, record_slowly
 from tests.generate.test_command import run
@@ -90,6 +91,8 @@ def test_two_workers_killed_with_their_parent(undisturbed, tmp_path):
     parent.wait()
     wait_until(lambda: not any(alive(child) for child in children))
     assert not (tmp_path / "d").exists()
+    with pytest.raises(FileNotFoundError, match=r"repeat the command .* making it in .*d\.partial"):
+        Store(tmp_path / "d")
     assert run("--root", tmp_path / "d", *WORDS) == 0
     assert hash_files(tmp_path / "d") == undisturbed
 
