@@ -1,7 +1,8 @@
-"""Checkpoints for tests: what ships, and tiny policies with random weights."""
+"""Checkpoints for tests: what ships, and tiny policies with random weights; how parts learn."""
 
 import json
 import shutil
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import torch
@@ -55,6 +56,24 @@ def observation(config: PreTrainedConfig, n: int = 1, seed: int = 0) -> dict[str
     generator = torch.Generator().manual_seed(seed)
     inputs = config.input_features
     return {key: torch.rand(n, *inputs[key].shape, generator=generator) for key in inputs}
+
+
+def fit(
+    parameters: Iterable[torch.Tensor],
+    loss: Callable[[], torch.Tensor],
+    steps: int,
+    rate: float = 3e-3,
+) -> list[float]:
+    """Minimize a loss by Adam; return what it was in each step."""
+    optimizer = torch.optim.Adam(parameters, lr=rate)
+    losses = []
+    for _ in range(steps):
+        optimizer.zero_grad()
+        now = loss()
+        now.backward()
+        optimizer.step()
+        losses.append(now.item())
+    return losses
 
 
 def saved(

@@ -16,12 +16,10 @@ from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.sampler import sample_specs
-from dynahoi_lerobot.world.batch import WorldBatch
 from tests.dataset.episodes import write
 from tests.menagerie import gather_menagerie
-from tests.world.playing import SMALL
+from tests.world.playing import SMALL, played
 
 os.environ.setdefault(
     "OMP_NUM_THREADS", "1"
@@ -75,10 +73,8 @@ def in_class(specs: list[EpisodeSpec], once: Once) -> Callable[[str], list[Episo
     @functools.cache
     def in_class(name: str) -> list[Episode]:
         chosen = specs if name == "standard" else specs[:22]
-        batch = WorldBatch(changed(SMALL.rules, {"control_class": name}), 22, threads=1)
-        return once(
-            f"in class {name}", lambda _: by_seed(evaluate(batch, EXPERTS["intercept"](), chosen))
-        )
+        rules = changed(SMALL.rules, {"control_class": name})
+        return once(f"in class {name}", lambda _: played(rules, EXPERTS["intercept"](), chosen))
 
     return in_class
 
@@ -94,14 +90,10 @@ def contact_episodes(once: Once) -> list[Episode]:
     images.
     """
     recipe = changed(SMALL, {"capture": "contact"})
-    batch, expert = WorldBatch(recipe.rules, 22, threads=1), EXPERTS["match"]()
     return once(
-        "contact", lambda _: by_seed(evaluate(batch, expert, sample_specs(recipe, range(22))))
+        "contact",
+        lambda _: played(recipe.rules, EXPERTS["match"](), sample_specs(recipe, range(22))),
     )
-
-
-def by_seed(episodes: Iterator[Episode]) -> list[Episode]:
-    return sorted(episodes, key=lambda episode: episode.meta.seed)
 
 
 @pytest.fixture(scope="session")

@@ -24,11 +24,10 @@ from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.metrics import measure
 from dynahoi_lerobot.motions.straight_line import Constant
 from dynahoi_lerobot.objects import OBJECTS
-from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.sampler import sample_spec, sample_specs
 from dynahoi_lerobot.scene.contact_sensors import TargetContacts, no_contacts
 from dynahoi_lerobot.world.batch import WorldBatch
-from tests.world.playing import SMALL, wait, world
+from tests.world.playing import SMALL, played, wait, world
 
 HOME_W = np.array([0.0, 0.0, 1.1])
 POSE_DRIFT_M = 1e-4
@@ -158,30 +157,28 @@ class Closed(Expert):
         return np.concatenate([np.zeros(3), world.specs[0].reference_joints])[None]
 
 
-def played(spec: EpisodeSpec, capture: str, miss_m: float) -> Episode:
+def closed_at_home(spec: EpisodeSpec, capture: str, miss_m: float) -> Episode:
     """A closed hand at home, and a target that passes ``miss_m`` in front of it at 1 m/s."""
     passes = passing(spec, 1.0, miss_m, (spec.window_frames + ARRIVAL) * CONTROL_DT)
-    batch = WorldBatch(replace(SMALL.rules, capture=capture), 1, threads=1)
-    return next(evaluate(batch, Closed(), [passes]))
+    (episode,) = played(replace(SMALL.rules, capture=capture), Closed(), [passes])
+    return episode
 
 
 @pytest.mark.parametrize("capture", ["attach", "attach_lenient"])
 def test_success_is_s_joint_whoever_plays(specs: list[EpisodeSpec], capture: str):
-    batch = WorldBatch(replace(SMALL.rules, capture=capture), 4, threads=1)
-    episodes = [
-        e
-        for name in ("intercept", "pursuit", "blind_path")
-        for e in evaluate(batch, EXPERTS[name](), specs[:4])
-    ]
-    for episode in episodes:
-        assert episode.success == measure(episode)["S_joint"] == episode.captured.any()
-    assert {episode.stage for episode in episodes} > {"captured"}
+    rules = replace(SMALL.rules, capture=capture)
+    stages = set()
+    for name in ("intercept", "pursuit", "blind_path"):
+        for episode in played(rules, EXPERTS[name](), specs[:4]):
+            assert episode.success == measure(episode)["S_joint"] == episode.captured.any()
+            stages.add(episode.stage)
+    assert stages > {"captured"}
 
 
 def test_weld_grasp_and_clock_follow_the_wider_radius(specs: list[EpisodeSpec]):
-    missed = measure(played(specs[3], "attach", 0.06))
+    missed = measure(closed_at_home(specs[3], "attach", 0.06))
     assert [missed[name] for name in ("S_loc", "S_gra", "S_joint", "R_time")] == [0, None, 0, 0]
-    lenient = played(specs[3], "attach_lenient", 0.06)
+    lenient = closed_at_home(specs[3], "attach_lenient", 0.06)
     caught = measure(lenient)
     assert [caught[name] for name in ("S_loc", "S_gra", "S_joint")] == [1, 1, 1]
     first = lenient.first_localized
@@ -296,8 +293,7 @@ def test_the_expert_holds_nearly_everything_at_its_first_attempt(contact_episode
 
 
 def test_a_hand_that_stays_open_holds_nothing():
-    batch = WorldBatch(RECIPE.rules, 4, threads=1)
-    episodes = evaluate(batch, EXPERTS["hold"](), sample_specs(RECIPE, range(4)))
+    episodes = played(RECIPE.rules, EXPERTS["hold"](), sample_specs(RECIPE, range(4)))
     assert not any(episode.success for episode in episodes)
 
 

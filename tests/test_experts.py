@@ -18,14 +18,14 @@ from dynahoi_lerobot.experts.baselines import fixed_path, home_table
 from dynahoi_lerobot.experts.intercept import Intercept
 from dynahoi_lerobot.experts.match import approach
 from dynahoi_lerobot.metrics import measure
-from dynahoi_lerobot.rollout.loop import evaluate, record
+from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.rollout.recording import Recording
 from dynahoi_lerobot.rollout.teacher_labels import Perturbation
 from dynahoi_lerobot.rules import Rules
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
-from tests.world.playing import wait, world
+from tests.world.playing import played, wait, world
 
 
 def mean(episodes: list[Episode], metric: str) -> float:
@@ -121,7 +121,7 @@ def test_a_hand_that_follows_the_labels_loosely_is_closed_when_it_gets_there(
             labels = self.label(world)
             return labels + np.pad(rng.normal(0.0, 0.015, (len(labels), 3)), ((0, 0), (0, 15)))
 
-    episodes = list(evaluate(WorldBatch(Rules(image_size=0), 22, threads=1), Loose(), specs[:22]))
+    episodes = played(Rules(image_size=0), Loose(), specs[:22])
     assert mean(episodes, "S_joint") >= 0.9 * mean(episodes, "S_loc")
 
 

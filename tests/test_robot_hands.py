@@ -15,7 +15,6 @@ from dynahoi_lerobot.core.numerics import quat_to_matrix
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.hands.robot import RobotHand
-from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.rules import Rules
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
@@ -23,6 +22,7 @@ from dynahoi_lerobot.scene import scene
 from dynahoi_lerobot.scene.scene import compile_scene
 from dynahoi_lerobot.world.batch import WorldBatch
 from tests.tools import dynahoi
+from tests.world.playing import played
 
 ROBOTS = {name: hand for name, hand in HANDS.items() if isinstance(hand, RobotHand)}
 every_robot = pytest.mark.parametrize("robot", ROBOTS)
@@ -130,9 +130,7 @@ thumb opposes."""
 def test_the_expert_catches_with_it(robot: str, capture: str) -> None:
     recipe = Recipe.of(split="train", hand=robot, capture=capture)
     specs = sample_specs(recipe, range(11 if capture == "attach" else 22))
-    episodes = evaluate(
-        WorldBatch(recipe.rules, len(specs)), EXPERTS[recipe.rules.capture_rule.expert](), specs
-    )
+    episodes = played(recipe.rules, EXPERTS[recipe.rules.capture_rule.expert](), specs)
     assert sum(episode.success for episode in episodes) >= CAUGHT[robot, capture]
 
 

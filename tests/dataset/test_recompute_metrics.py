@@ -15,12 +15,12 @@ from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.generate.pipeline import generate
 from dynahoi_lerobot.generate.plan import GenerationPlan
 from dynahoi_lerobot.metrics import measure
-from dynahoi_lerobot.rollout.loop import evaluate, record
+from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.rollout.recording import Recording
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
-from dynahoi_lerobot.world.batch import WorldBatch
 from tests import recompute_metrics
+from tests.world.playing import played
 
 SEVEN = ("S_loc", "S_gra", "E_loc", "E_gra", "Q_smooth", "Q_line", "R_time")
 EPISODES = 11
@@ -72,8 +72,6 @@ def test_a_dataset_with_failures_gives_the_same_metrics(name: str, tmp_path: Pat
 
 def test_hands_that_stand_still_give_the_same_metrics(tmp_path: Path) -> None:
     recipe = Recipe.of(split="test", image_size=0)
-    episodes = list(
-        evaluate(WorldBatch(recipe.rules, 4), EXPERTS["hold"](), sample_specs(recipe, range(4)))
-    )
+    episodes = played(recipe.rules, EXPERTS["hold"](), sample_specs(recipe, range(4)))
     write_episodes(tmp_path / "d", episodes)
     assert_same(tmp_path / "d", episodes)

@@ -32,14 +32,12 @@ from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.evaluate.rows import episode_row
 from dynahoi_lerobot.motions import CATEGORIES
 from dynahoi_lerobot.rollout.inference import Inference, RealTimeAgent
-from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.salt import stream_label
 from dynahoi_lerobot.sampling.sampler import sample_specs
-from dynahoi_lerobot.world.batch import WorldBatch
 from tests.checkpoints import FEATURES, SHIPPED, tiny_act
-from tests.conftest import by_seed
 from tests.tools import edit_json, options, run
+from tests.world.playing import played
 
 SMALL = {"image_size": 32, "split": "test_small"}
 SALT = "nobody-shall-know-it"
@@ -114,7 +112,7 @@ def test_results_are_named_after_the_policy_and_say_which_weights_lerobot_eval_p
     (tmp_path / "config.json").write_text('{"type": "act"}')
     (tmp_path / "model.safetensors").write_bytes(b"weights")
     weights = {"model.safetensors": hashlib.sha256(b"weights").hexdigest()}
-    for words, name, played in (
+    for words, name, sums in (
         (["/bin/lerobot-eval", f"--policy.path={tmp_path}"], "act", weights),
         (["scripts/lerobot_eval.py", "--policy.pretrained_path", str(tmp_path)], "act", weights),
         (["lerobot-train", f"--policy.path={tmp_path}"], "act", {}),  # what training began with
@@ -123,7 +121,7 @@ def test_results_are_named_after_the_policy_and_say_which_weights_lerobot_eval_p
         (["lerobot-eval", "--policy.path", "me/policy"], "me/policy", {}),
     ):
         launch = said(words)
-        assert (launch.policy, launch.weights) == (name, played)
+        assert (launch.policy, launch.weights) == (name, sums)
 
 
 def test_the_rules_are_those_of_the_revision_that_lerobot_plays(said, tmp_path, monkeypatch):
@@ -200,7 +198,7 @@ def played_here(found: Results, agent: Agent) -> list[Episode]:
     """Our evaluation of the same episodes, in the order of the rows."""
     recipe = found.recipe()
     specs = sample_specs(recipe, [row["seed"] for row in found.rows])
-    return by_seed(evaluate(WorldBatch(recipe.rules, len(specs)), agent, specs))
+    return played(recipe.rules, agent, specs)
 
 
 LATE = ("--env.latency_ms=150", "--env.inference=async")

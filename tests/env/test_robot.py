@@ -4,7 +4,6 @@ programs on it.
 
 import asyncio
 import socket
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Thread
@@ -21,7 +20,6 @@ from lerobot_robot_dynahoi import (
     DynahoiRobot,
     DynahoiRobotConfig,
 )
-from lerobot_robot_dynahoi.checks import check_command_line
 
 from dynahoi_lerobot.evaluate.results import Results, read_results
 
@@ -264,38 +262,3 @@ def test_a_bad_action_is_refused_and_nothing_is_lost():
             robot.send_action(bad)
     catch(robot, clock)
     assert robot.world.finished.success
-
-
-ROBOT = ("--robot.type=dynahoi",)
-ROLLOUT = ("lerobot-rollout", *ROBOT)
-RECORD = ("lerobot-record", *ROBOT, "--dataset.repo_id=local/x")
-
-
-@pytest.mark.parametrize(
-    ("words", "named"),
-    [
-        (RECORD, "dataset.fps must be 20"),
-        ((*RECORD, "--dataset.fps=30"), "but is 30"),
-        (ROLLOUT, "fps must be 20"),
-        ((*ROLLOUT, "--fps", "30"), "but is 30"),
-        ((*ROLLOUT, "--fps=20", "--dataset.repo_id=local/x"), "dataset.fps must be 20"),
-        (("lerobot-teleoperate", *ROBOT, "--robot.task=lobb"), "'lobb'"),
-    ],
-)
-def test_what_it_cannot_heed_ends_lerobots_command_in_a_sentence(words, named: str, refusal):
-    assert named in refusal(check_command_line, words)
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        (*RECORD, "--dataset.fps=20"),
-        (*ROLLOUT, "--fps=20.0"),
-        (*ROLLOUT, "--robot.realtime=false", "--fps=200"),
-        ("lerobot-teleoperate", *ROBOT, "--fps=60"),
-        ("lerobot-record", "--robot.type=so101_follower", "--dataset.repo_id=local/x"),
-    ],
-)
-def test_other_robots_and_good_rates_pass(words, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "argv", list(words))
-    check_command_line()

@@ -24,7 +24,6 @@ from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.rollout.recording import Recording
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.splits import kind_seed
-from tests.tools import python
 
 SMALL = {"image_size": 16}
 BLIND = SMALL | {"image_size": 0}
@@ -353,10 +352,3 @@ def test_options_are_fields_of_a_recipe_and_unknown_ones_are_refused() -> None:
     for make in (DynahoiEnv, DynahoiVectorEnv):
         with pytest.raises(TypeError, match="unexpected keyword argument 'colour'"):
             make(colour="red")
-
-
-@pytest.mark.parametrize("make", ["make", "make_vec"])
-def test_an_id_with_its_module_needs_no_other_import(make: str) -> None:
-    env = f"gym.{make}('dynahoi_lerobot.env:dynahoi/all-v0', image_size=0)"
-    said = python("-c", f"import gymnasium as gym; {env}.reset(seed=0); print('played')")
-    assert said.splitlines()[-1] == "played"

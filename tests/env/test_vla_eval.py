@@ -4,6 +4,7 @@ import asyncio
 import itertools
 import json
 import shlex
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -29,53 +30,29 @@ from tests.checkpoints import SHIPPED
 from tests.docs.playing import check_installation
 
 
-class StillServer:
-    """A model server in the same process, whose hand holds still."""
+class Server:
+    """A model server in the same process, which answers with the action of a function, (18,)."""
 
-    def __init__(self) -> None:
+    def __init__(self, action: Callable[[dict], np.ndarray]) -> None:
+        self.action = action
         self.observations: list[dict] = []
+        self.actions: list[np.ndarray] = []
 
     async def start_episode(self, payload: dict) -> None:
         self.task = payload["task"]
 
     async def act(self, observation: dict) -> dict:
         self.observations.append(observation)
-        return {"actions": self.action(observation)}
-
-    def action(self, observation: dict) -> np.ndarray:
-        return observation["states"]
+        self.actions.append(self.action(observation))
+        return {"actions": self.actions[-1]}
 
     async def end_episode(self, result: dict) -> None:
         self.metrics = result["metrics"]
 
 
-class ExpertServer(StillServer):
-    """The expert, who knows the episode."""
-
-    def __init__(self, benchmark: DynahoiBenchmark) -> None:
-        super().__init__()
-        self.benchmark = benchmark
-
-    def action(self, observation: dict) -> np.ndarray:
-        batch = self.benchmark._env._batch
-        return Intercept().act(batch.world_state(batch.observe(images=False)))[0]
-
-
-class ObActServer(StillServer):
-    """The model server that ships."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.server = ObActModelServer(str(SHIPPED))
-        self.actions: list[np.ndarray] = []
-
-    def action(self, observation: dict) -> np.ndarray:
-        chunk = self.server.predict(observation, SimpleNamespace())["actions"]
-        self.actions.append(chunk[: self.server.chunk_size])
-        return chunk[0]
-
-
-def run(benchmark: DynahoiBenchmark, kind: str, server: StillServer) -> StillServer:
+def run(benchmark: DynahoiBenchmark, kind: str, action: Callable[[dict], np.ndarray]) -> Server:
+    """Let a server play an episode of a kind."""
+    server = Server(action)
     (task,) = (task for task in benchmark.get_tasks() if task["name"] == kind)
     episode = SyncEpisodeRunner().run_episode(
         benchmark, {**task, "episode_idx": 1}, server, recorder=NullEpisodeRecorder()
@@ -90,8 +67,13 @@ def test_a_server_sees_what_the_convention_says_and_catches_if_it_moves_as_the_e
         {"name": "lob", "suite": "projectile"},
         {"name": "planar", "suite": "pendulum"},
     ]
-    missed = run(benchmark, "planar", StillServer())
-    caught = run(benchmark, "planar", ExpertServer(benchmark))
+
+    def expert(_: dict) -> np.ndarray:
+        batch = benchmark._env._batch
+        return Intercept().act(batch.world_state(batch.observe(images=False)))[0]
+
+    missed = run(benchmark, "planar", lambda seen: seen["states"])
+    caught = run(benchmark, "planar", expert)
     first = missed.observations[0]
     assert (first["images"]["ego"].shape, first["images"]["ego"].dtype) == ((32, 32, 3), np.uint8)
     assert first["states"].shape == (18,)
@@ -112,9 +94,14 @@ def test_how_fast_a_server_is_changes_nothing_that_obact_does(monkeypatch: pytes
     for delay_s in (0.05, 0.2):
         clock = itertools.count(100.0, delay_s)
         monkeypatch.setattr("time.monotonic", lambda clock=clock: next(clock))
-        played.append(run(benchmark, "constant", ObActServer()))
+        server = ObActModelServer(str(SHIPPED))
+        assert server.chunk_size == 1, "it sees every step"
+
+        def obact(seen: dict, server: ObActModelServer = server) -> np.ndarray:
+            return server.predict(seen, SimpleNamespace())["actions"][0]
+
+        played.append(run(benchmark, "constant", obact))
     prompt, slow = played
-    assert prompt.actions[0].shape == (1, 18), "it sees every step"
     np.testing.assert_array_equal(prompt.actions, slow.actions)
     assert prompt.metrics["S_loc"] == 1.0
 

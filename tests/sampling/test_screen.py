@@ -12,13 +12,11 @@ from benchmarks.pin import spec_digest
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.motions.launch import Box
-from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.scene.clearance import box_distance
 from dynahoi_lerobot.scene.screen import apart, earliest_meeting, with_screen
-from dynahoi_lerobot.world.batch import WorldBatch
-from tests.world.playing import world
+from tests.world.playing import played, world
 
 OCCLUDED = Recipe.of(split="test", image_size=16, protocol="occluded")
 
@@ -105,5 +103,5 @@ def test_boxes_are_apart_if_an_axis_separates_them(turn_rad: float, clear: bool)
 
 @pytest.mark.parametrize("control_class", ["standard", "late"])
 def test_the_expert_catches_every_target(occluded: list[EpisodeSpec], control_class: str):
-    batch = WorldBatch(replace(OCCLUDED.rules, control_class=control_class), 22, threads=1)
-    assert all(episode.success for episode in evaluate(batch, EXPERTS["intercept"](), occluded))
+    rules = replace(OCCLUDED.rules, control_class=control_class)
+    assert all(episode.success for episode in played(rules, EXPERTS["intercept"](), occluded))

@@ -16,7 +16,6 @@ from dynahoi_lerobot.dataset.paths import MANIFEST_PATH
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.motions import MOTIONS, PrescribedMotion
 from dynahoi_lerobot.report.entries import read_entries
-from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.rollout.recording import Recording
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.homes import visible
@@ -24,9 +23,8 @@ from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.salt import seal, without_salt
 from dynahoi_lerobot.sampling.sampler import sample_spec, sample_specs
 from dynahoi_lerobot.sampling.splits import split_seeds
-from dynahoi_lerobot.world.batch import WorldBatch
 from tests.tools import dynahoi, generated
-from tests.world.playing import SMALL
+from tests.world.playing import SMALL, played
 
 QUICK = ("constant", "lateral", "horizontal_circle", "line_then_arc")
 IN_DISTRIBUTION = ("train", "val", "test")
@@ -193,9 +191,7 @@ def test_both_can_be_watched_and_met_alike(pairs: list[tuple[EpisodeSpec, Episod
     for spec in (spec for pair in pairs for spec in pair):
         seen = visible(spec.target_path_w[: spec.window_frames + 1] - spec.home_pos_w)
         assert seen.mean() >= 0.9
-    episodes = list(
-        evaluate(WorldBatch(FAST.rules, 12), EXPERTS["intercept"](), [fast for _, fast in pairs])
-    )
+    episodes = played(FAST.rules, EXPERTS["intercept"](), [fast for _, fast in pairs])
     assert np.mean([episode.success for episode in episodes]) > 0.9
     assert {episode.meta.split for episode in episodes} == {"twins"}
 

@@ -9,11 +9,11 @@ import pytest
 
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
-from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.rules import Rules
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
+from tests.world.playing import played
 
 
 @pytest.mark.slow
@@ -41,9 +41,7 @@ def test_targets_lie_on_all_sides_of_the_home(specs: list[EpisodeSpec]):
 def test_who_does_not_know_the_path_is_far_from_catching_everything(
     name, control, least, most, specs
 ):
-    episodes = list(
-        evaluate(WorldBatch(Rules(control_class=control), 22), EXPERTS[name](), specs[:22])
-    )
+    episodes = played(Rules(control_class=control), EXPERTS[name](), specs[:22])
     localized = [episode.first_localized is not None for episode in episodes]
     assert least <= 100 * np.mean(localized) <= most
 

@@ -6,11 +6,13 @@ from dataclasses import fields, replace
 
 import numpy as np
 
+from dynahoi_lerobot.core.agent import Actor
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.rollout.loop import evaluate
+from dynahoi_lerobot.rules import Rules
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.world.batch import WorldBatch
 
@@ -30,6 +32,15 @@ def wait(batch: WorldBatch) -> None:
     """Step until every world is in its control phase; worlds that are there hold still."""
     while not batch.acting.all():
         batch.step(batch.executed)
+
+
+def played(
+    rules: Rules, actor: Actor, specs: Sequence[EpisodeSpec], *, images: bool = False
+) -> list[Episode]:
+    """The evaluation of each episode in a world of its own, in the order of their seeds."""
+    batch = WorldBatch(rules, len(specs), threads=1)
+    episodes = evaluate(batch, actor, specs, images=images)
+    return sorted(episodes, key=lambda episode: episode.meta.seed)
 
 
 def digest(episode: Episode) -> str:

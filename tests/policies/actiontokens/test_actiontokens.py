@@ -15,6 +15,7 @@ from lerobot_policy_actiontokens.modeling_actiontokens import decode, encode
 from lerobot_policy_actiontokens.modeling_upvla import lay_out
 from torch import Tensor
 
+from tests.checkpoints import fit
 from tests.zoo.stand_ins import save_image_tokenizer, save_phi, save_smolvlm
 
 SIZE = 3
@@ -75,14 +76,6 @@ def losses(policy: Policy, batch: dict[str, object]) -> Tensor:
     return policy.eval()(batch, reduction="none")[0]
 
 
-def train(policy: Policy, batch: dict[str, object], steps: int, rate: float) -> None:
-    optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=rate)
-    for _ in range(steps):
-        policy.train()(batch)[0].backward()
-        optimizer.step()
-        optimizer.zero_grad()
-
-
 def test_bins_are_those_of_openvla() -> None:
     values = np.random.default_rng(0).uniform(-1.2, 1.2, 2000)
     edges = np.linspace(-1, 1, 256)
@@ -130,7 +123,7 @@ def test_words_and_actions_look_back_and_the_image_looks_everywhere() -> None:
 def test_it_learns_a_chunk_and_writes_it_in_one_call(models: Path) -> None:
     policy = make_policy(ActionTokensPolicy, models, chunk_size=2, n_action_steps=2)
     batch = make_batch(policy, n=1)
-    train(policy, batch, steps=60, rate=1e-2)
+    fit(policy.get_optim_params(), lambda: policy.train()(batch)[0], steps=60, rate=1e-2)
     first, second = batch["action"].unbind(1)
     close = partial(torch.testing.assert_close, atol=BIN, rtol=0)
     close(policy.predict_action_chunk(batch), batch["action"])
@@ -144,7 +137,7 @@ def test_it_learns_a_chunk_and_writes_it_in_one_call(models: Path) -> None:
 def test_it_learns_what_comes_and_what_to_do(models: Path) -> None:
     policy = make_policy(UPVLAPolicy, models)
     batch = make_batch(policy)
-    train(policy, batch, steps=150, rate=3e-3)
+    fit(policy.get_optim_params(), lambda: policy.train()(batch)[0], steps=150)
     assert (policy.predict_action_chunk(now(batch)) - batch["action"]).abs().max() < 0.1
     codes = policy.images.encode(batch[CAMERA][:, 1])
     assert codes.unique().numel() > 4

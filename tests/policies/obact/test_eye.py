@@ -4,17 +4,12 @@ from pathlib import Path
 
 import pytest
 import torch
-from lerobot_policy_obact.camera import Pinhole
 from lerobot_policy_obact.encoders import ENCODERS, SHIPPED, Eye
 from lerobot_policy_obact.eye.pretraining import sighting_loss
 from transformers import ConvNextConfig, ConvNextModel, ViTConfig, ViTImageProcessor, ViTModel
 
-LOOKS_ALONG_X = [-0.15, 0.03, 0.21, 0.5, 0.5, -0.5, -0.5]
-"""Pose of a camera behind the palm that looks along +x, with z up."""
-
-
-def camera() -> Pinhole:
-    return Pinhole.from_pose(LOOKS_ALONG_X, 0.9, carried=True)
+from tests.checkpoints import fit
+from tests.policies.obact.test_windows import camera
 
 
 def test_what_is_seen_and_places_are_inverse_and_u_grows_to_the_right_and_v_upwards():
@@ -62,13 +57,8 @@ def squares(n: int, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
 def test_it_learns_where_a_square_is_and_says_how_sure_it_is():
     torch.manual_seed(0)
     eye = Eye(channels=8, fovea=12)
-    optimizer = torch.optim.AdamW(eye.parameters(), lr=3e-3)
     images, offset = squares(128, seed=0)
-    for _ in range(150):
-        optimizer.zero_grad()
-        loss = sighting_loss(eye, camera(), images, offset).mean()
-        loss.backward()
-        optimizer.step()
+    fit(eye.parameters(), lambda: sighting_loss(eye, camera(), images, offset).mean(), steps=150)
     images, offset = squares(64, seed=1)
     sighting = eye(images)
     error = (camera().place(sighting[:, :3]) - offset).norm(dim=-1)
@@ -101,19 +91,16 @@ SMALL_VIT = {
 SMALL_CONVNEXT = {"hidden_sizes": [8, 16], "depths": [1, 1], "num_stages": 2}
 
 
-@pytest.mark.parametrize("name", ["conv", "vit", "convnext"])
-def test_an_encoder_with_cells_gives_a_sighting_and_an_embedding(name: str, tmp_path: Path):
-    options = {}
-    if name != "conv":
-        vit = name == "vit"
-        model = (
-            ViTModel(ViTConfig(**SMALL_VIT))
-            if vit
-            else ConvNextModel(ConvNextConfig(**SMALL_CONVNEXT))
-        )
-        model.save_pretrained(tmp_path)
-        ViTImageProcessor().save_pretrained(tmp_path)
-        options = {"name": str(tmp_path)}
-    encoder = ENCODERS["transformers" if options else name](embedding=7, **options)
+@pytest.mark.parametrize(
+    ("kind", "config"),
+    [
+        (ViTModel, ViTConfig(**SMALL_VIT)),
+        (ConvNextModel, ConvNextConfig(**SMALL_CONVNEXT)),
+    ],
+)
+def test_a_vision_tower_gives_a_sighting_and_an_embedding(kind: type, config, tmp_path: Path):
+    kind(config).save_pretrained(tmp_path)
+    ViTImageProcessor().save_pretrained(tmp_path)
+    encoder = ENCODERS["transformers"](embedding=7, name=str(tmp_path))
     encoder.load_pretrained()
     assert encoder(torch.rand(2, 3, 64, 64)).shape == (2, 5 + 7)

@@ -19,7 +19,7 @@ from lerobot_policy_obact.gr00t_head import Gr00tHead
 from lerobot_policy_obact.heads import ActionHead
 from safetensors.torch import save_file
 
-from tests.checkpoints import SMALL_GR00T
+from tests.checkpoints import SMALL_GR00T, fit
 
 
 def bright(row: int, column: int, size: int = 8) -> torch.Tensor:
@@ -74,11 +74,8 @@ def fitted(
     head: ActionHead, context: torch.Tensor, answers: Callable[[], torch.Tensor], steps: int
 ) -> ActionHead:
     """The head after it has learned answers, which may be drawn anew for each step."""
-    optimizer = torch.optim.Adam(head.parameters(), lr=3e-3)
-    for _ in range(steps):
-        optimizer.zero_grad()
-        head.loss(context, answers(), torch.ones(len(context), 1)).mean().backward()
-        optimizer.step()
+    weight = torch.ones(len(context), 1)
+    fit(head.parameters(), lambda: head.loss(context, answers(), weight).mean(), steps)
     return head.eval()
 
 

@@ -244,25 +244,28 @@ def test_a_window_shows_the_target_as_it_moves_from_its_first_frame_on(episodes,
         assert window.frames.hidden[i].sum() == max(0, -first)
 
 
+FOR_ITS_EYE = "has sightings instead of images, which only"
+RENAMED = {
+    "observation.images.camera1": PolicyFeature(FeatureType.VISUAL, (3, 96, 96)),
+    "observation.state": PolicyFeature(FeatureType.STATE, (18,)),
+}
+
+
 @pytest.mark.parametrize(
-    ("changes", "named"),
+    ("root", "changes", "said"),
     [
-        ({"normalization_mapping": {"STATE": NormalizationMode.MEAN_STD}}, "must be IDENTITY"),
-        ({"use_amp": True}, "use_amp is True, but must be false"),
+        ("image_root", {}, "n_future_steps is 24, but must be 0 .* `dynahoi encode`"),
+        ("hand_root", {"encoder": "conv", "freeze_encoder": None}, FOR_ITS_EYE),
+        ("hand_root", {"freeze_encoder": False}, FOR_ITS_EYE),
+        ("hand_root", {"input_features": RENAMED}, "no observation.images.camera1, .* --rename_"),
     ],
+    ids=["images of frames to come", "sightings to conv", "to an eye that learns", "no pose"],
 )
-def test_what_it_does_not_heed_is_refused(changes: dict, named: str):
-    with pytest.raises(ValueError, match=named):
-        ObActConfig(**TINY | HAND | changes)
-
-
-def test_a_camera_whose_pose_it_would_not_find_is_refused(hand_root: Path):
-    inputs = {
-        "observation.images.camera1": PolicyFeature(FeatureType.VISUAL, (3, 96, 96)),
-        "observation.state": PolicyFeature(FeatureType.STATE, (18,)),
-    }
-    with pytest.raises(ValueError, match=r"no observation.images.camera1, .* --rename_map"):
-        learner(hand_root, input_features=inputs)
+def test_a_dataset_that_it_cannot_learn_from_is_refused(
+    root: str, changes: dict, said: str, request: pytest.FixtureRequest
+):
+    with pytest.raises(ValueError, match=said):
+        learner(request.getfixturevalue(root), **changes)
 
 
 def test_training_goes_on_and_begins_from_a_checkpoint(push_root: Path, tmp_path: Path):
@@ -279,13 +282,6 @@ def test_training_goes_on_and_begins_from_a_checkpoint(push_root: Path, tmp_path
     assert weights
     for name in weights:
         torch.testing.assert_close(tuned[name], began[name], atol=1e-6, rtol=0, msg=name)
-
-
-def test_images_are_not_decoded_for_frames_to_come(image_root):
-    with pytest.raises(
-        ValueError, match=r"n_future_steps is 24, but must be 0 .* `dynahoi encode`"
-    ):
-        learner(image_root)
 
 
 def test_without_the_targets_path_the_closed_loop_is_off_and_says_so(hand_root, tmp_path, caplog):
@@ -343,16 +339,6 @@ def test_each_camera_starts_from_weights_of_its_own():
         torch.testing.assert_close(
             eye.attention.query.weight, load_file(SHIPPED[name])["attention.query.weight"]
         )
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [{"encoder": "conv", "freeze_encoder": None}, {"freeze_encoder": False}],
-    ids=["conv", "trained"],
-)
-def test_sightings_are_for_the_eye_that_made_them(changes: dict, hand_root: Path):
-    with pytest.raises(ValueError, match="has sightings instead of images, which only"):
-        learner(hand_root, **changes)
 
 
 def test_sightings_without_a_state_teach_actions(hand_root: Path, tmp_path: Path):
@@ -775,6 +761,8 @@ def test_another_number_of_environments_needs_a_reset():
         ("relative_dims", 19, "0 to 18"),
         ("n_action_steps", 9, "1 to 4"),
         ("head_options", {"n_draws": 0}, "1 to 100"),
+        ("normalization_mapping", {"STATE": NormalizationMode.MEAN_STD}, "IDENTITY"),
+        ("use_amp", True, "false"),
     ],
 )
 def test_a_wrong_option_is_named_with_what_is_allowed(name: str, value: object, allowed: str):

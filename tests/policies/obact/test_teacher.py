@@ -12,14 +12,11 @@ from lerobot_policy_obact.teacher import (
     SLACK,
     Answers,
     Targets,
-    Teacher,
     passing_distance,
 )  # fmt: skip
 
 from dynahoi_lerobot.captures import CAPTURES
-
-STEP_M = 0.025
-RADIUS_M = 0.03
+from tests.policies.obact.test_windows import RADIUS_M, STEP_M, teacher
 
 
 def targets_on(path: torch.Tensor) -> Targets:
@@ -30,9 +27,7 @@ def targets_on(path: torch.Tensor) -> Targets:
 def answers(
     path: torch.Tensor, due: torch.Tensor, palms: torch.Tensor, horizon: int = 1
 ) -> Answers:
-    return Teacher(20.0, STEP_M, torch.zeros(15), torch.ones(15), RADIUS_M).answer(
-        targets_on(path), due, palms, horizon
-    )
+    return teacher().answer(targets_on(path), due, palms, horizon)
 
 
 def paths(n: int, frames: int = 60) -> torch.Tensor:
@@ -107,9 +102,7 @@ def test_the_first_palm_is_the_one_that_was_there_and_the_others_are_near_it_or_
     path = paths(50)
     due = torch.full((50, 2), 20)
     palm = torch.randn(50, 2, 3) * 0.1
-    palms = Teacher(20.0, STEP_M, torch.zeros(15), torch.ones(15), RADIUS_M).palms(
-        targets_on(path), due, palm
-    )
+    palms = teacher().palms(targets_on(path), due, palm)
     assert torch.equal(palms[:, :, 0], palm)
     for i, near in ((1, palm), (2, palm), (3, path[:, 20][:, None])):
         assert 0.01 < (palms[:, :, i] - near).norm(dim=-1).median() < 0.15

@@ -17,14 +17,16 @@ from lerobot_policy_obact.windows import Donors, VirtualHands, Window
 from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.nn.attention import SDPBackend, sdpa_kernel
 
-from tests.checkpoints import FEATURES, TINY_OBACT
+from tests.checkpoints import FEATURES, TINY_OBACT, fit
 
 PAST = 13
 FUTURE = 24
 LENGTH = PAST + FUTURE
 LOOKS_ALONG_X = [-0.15, 0.03, 0.21, 0.5, 0.5, -0.5, -0.5]
+"""Pose of a camera behind the palm that looks along +x, with z up."""
 CALIBRATION = {"observation.images.ego": [*LOOKS_ALONG_X, 0.9, 1.0]}
 STEP_M = 0.025
+RADIUS_M = 0.03
 
 
 def camera() -> Pinhole:
@@ -32,7 +34,7 @@ def camera() -> Pinhole:
 
 
 def teacher() -> Teacher:
-    return Teacher(20.0, STEP_M, torch.zeros(15), torch.ones(15), 0.03)
+    return Teacher(20.0, STEP_M, torch.zeros(15), torch.ones(15), RADIUS_M)
 
 
 def windows(
@@ -280,14 +282,7 @@ def test_the_closed_loop_loss_falls_where_the_head_learns_to_meet_the_target():
     path = torch.tensor([0.1, 0.05, -0.05]).expand(1, 200, 3)
     window = replace(window, targets=replace(window.targets, path=path))
     head = lambda forecast, palm: goal.expand(1, 3)  # noqa: E731
-    optimizer = torch.optim.Adam([goal], lr=0.02)
-    losses = []
-    for _ in range(60):
-        loss = rolled_out(window, head, PAST - 1)
-        optimizer.zero_grad()
-        loss.backward()
-        losses.append(loss.item())
-        optimizer.step()
+    losses = fit([goal], lambda: rolled_out(window, head, PAST - 1), steps=60, rate=0.02)
     assert losses[0] > 1.0
     assert losses[-1] < 0.1
 
