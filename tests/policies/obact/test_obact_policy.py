@@ -257,7 +257,7 @@ RENAMED = {
         ("image_root", {}, "n_future_steps is 24, but must be 0 .* `dynahoi encode`"),
         ("hand_root", {"encoder": "conv", "freeze_encoder": None}, FOR_ITS_EYE),
         ("hand_root", {"freeze_encoder": False}, FOR_ITS_EYE),
-        ("hand_root", {"input_features": RENAMED}, "no observation.images.camera1, .* --rename_"),
+        ("hand_root", {"input_features": RENAMED}, "no observation.images.camera1.*--rename_map"),
     ],
     ids=["images of frames to come", "sightings to conv", "to an eye that learns", "no pose"],
 )
