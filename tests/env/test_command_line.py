@@ -70,5 +70,5 @@ def test_a_mistake_is_one_sentence(command: str, named: str, monkeypatch, capsys
         "lerobot-record --robot.type=so101_follower --dataset.repo_id=local/x",
     ],
 )
-def test_others_commands_and_good_options_pass(command: str, monkeypatch) -> None:
+def test_other_commands_and_good_options_pass(command: str, monkeypatch) -> None:
     check(command, monkeypatch)
