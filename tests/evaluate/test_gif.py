@@ -20,11 +20,15 @@ def pages(data: bytes) -> list[Image.Image]:
         return [page.convert("RGB").copy() for page in ImageSequence.Iterator(gif)]
 
 
+def total_ms(data: bytes) -> int:
+    return sum(page.info["duration"] for page in pages(data))
+
+
 def test_frames_keep_their_number_and_pace_under_a_border_of_the_phase_and_a_caption_that_fits():
     names = ["observing", "observing", "acting", "localized", "localized"]
     data = encode_gif(FRAMES, phases=names, caption="wide " * 50)
     shown = pages(data)
-    assert sum(page.info["duration"] for page in shown) == 5 * 50
+    assert total_ms(data) == 5 * 50
     for page, name in zip(shown, names, strict=True):
         assert page.size == (16 + 2 * BORDER_PX, 12 + 2 * BORDER_PX + CAPTION_PX)
         assert np.abs(np.array(page.getpixel((0, 0))) - BORDERS[name]).max() < 12
