@@ -32,6 +32,7 @@ RESTRICTIONS = ("motions", "objects")
 """Fields of a recipe by which only some of a split's episodes are played."""
 ALL = "all"
 MOST_NAMED = 3
+"""So many motions or objects are named; more are counted."""
 
 MOST_COLUMNS = 3
 """So many evaluations stand side by side in a terminal of 100 columns."""
@@ -114,12 +115,11 @@ def metrics_table(
     names motions and objects only where not all of them were played.
     """
     played = [conditions(result) | {"n": str(len(result.rows))} for result in results]
-    for name in RESTRICTIONS:
-        if all(told[name] == ALL for told in played):
-            played = [{key: told[key] for key in told if key != name} for told in played]
     differing = [name for name in played[0] if len({told[name] for told in played}) > 1]
     shared = [
-        f"{_titled(name)} {value}" for name, value in played[0].items() if name not in differing
+        f"{_titled(name)} {value}"
+        for name, value in played[0].items()
+        if name not in differing and not (name in RESTRICTIONS and value == ALL)
     ]
     best = _best(results, columns)
     rows = []
