@@ -67,41 +67,39 @@ class Protocol:
 
     Attributes:
         name: its name in recipes and results.
+        meaning: a line for the command line's help.
         has_window: the hand is held still for an observation window first (Section 3 of the paper).
         blind_control: all images are black from the first control frame on; proprioception stays.
         has_screen: a panel hides the target from the hand's camera for 0.3 to 0.6 s before it can
             be met.
-        meaning: a line for the command line's help.
     """
 
     name: str
-    has_window: bool
-    blind_control: bool
-    has_screen: bool
     meaning: str
+    has_window: bool = True
+    blind_control: bool = False
+    has_screen: bool = False
 
 
-PROTOCOLS = {
-    protocol.name: protocol
-    for protocol in (
-        Protocol("observe_before_act", True, False, False, "an observation window, then control"),
-        Protocol("direct_act", False, False, False, "control from the first frame on"),
-        Protocol(
-            "observe_then_blind",
-            True,
-            True,
-            False,
-            "an observation window, then control with black images",
-        ),
-        Protocol(
-            "occluded",
-            True,
-            False,
-            True,
-            "an observation window, then control; a screen hides the target in between",
-        ),
-    )
-}
+PROTOCOLS = MappingProxyType(
+    {
+        protocol.name: protocol
+        for protocol in (
+            Protocol("observe_before_act", "an observation window, then control"),
+            Protocol("direct_act", "control from the first frame on", has_window=False),
+            Protocol(
+                "observe_then_blind",
+                "an observation window, then control with black images",
+                blind_control=True,
+            ),
+            Protocol(
+                "occluded",
+                "an observation window, then control; a screen hides the target in between",
+                has_screen=True,
+            ),
+        )
+    }
+)
 """Under ``observe_then_blind`` only a prediction from the window tells where to go, and under
 ``occluded`` one from before the target vanishes."""
 
