@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.escaping import printable
 from dynahoi_lerobot.core.nested import flat
 from dynahoi_lerobot.core.numerics import TOLERANCE
 from dynahoi_lerobot.core.progress import progress_bar
@@ -60,7 +61,8 @@ def run(folder: Path, salt: str, count: int | None, seed: int | None) -> int:
     results = read_results(folder)
     recipe = open_recipe(results, salt)
     if recipe_code(recipe) != results.info.code:
-        print(f"made by {_otherwise(results)}, so that numbers may differ by more than rounding")
+        made_by = printable(_otherwise(results))
+        print(f"made by {made_by}, so that numbers may differ by more than rounding")
     for name in (METRICS_FILE, EPISODES_FILE, ACTIONS_FILE):
         print(f"sha256 {sha256(results.folder / name)}  {results.folder / name}")
     for name, (value, rule) in (changed_rules(results) | _unseen_rules(results)).items():
@@ -69,7 +71,7 @@ def run(folder: Path, salt: str, count: int | None, seed: int | None) -> int:
     chosen = drawn(len(results.rows), count, seed)
     findings = replay_problems(results, recipe, chosen)
     for finding in findings[:SHOWN]:
-        print(finding)
+        print(printable(finding))
     of = (
         f"{len(results.rows)} episodes in the folder, "
         f"{len(split_seeds(split_of(results.info.split)))} in the split"

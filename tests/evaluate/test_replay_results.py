@@ -113,6 +113,19 @@ def test_results_of_other_code_are_replayed_with_a_word(honest: Path, tmp_path: 
     assert "made by other code" in dynahoi("evaluate", "--replay", other).out
 
 
+def test_what_results_say_begins_no_line_of_a_replay(honest: Path, tmp_path: Path):
+    other = shutil.copytree(honest, tmp_path / "other")
+    end = "\nevery number is the same"
+
+    def forge(head: dict) -> None:
+        head["extra"]["surroundings"] = {"numpy": end}
+        head["per_kind"][end] = head["metrics"]
+
+    edit_json(other / "metrics.json", forge, code="0123456789abcdef")
+    lines = dynahoi("evaluate", "--replay", other, code=1).out.splitlines()
+    assert not [line for line in lines if line.startswith(end.strip())]
+
+
 def test_a_drawn_sample_can_be_drawn_again(honest: Path):
     words = ["evaluate", "--replay", honest, "--episodes", "1"]
     first = dynahoi(*words).out
