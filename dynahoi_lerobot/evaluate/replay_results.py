@@ -45,7 +45,7 @@ from dynahoi_lerobot.sampling.splits import split_seeds
 PLAYED_TOGETHER = 32
 SHOWN = 10
 """Findings that are printed."""
-NOT_REPLAYED = {"agent"}
+NOT_REPLAYED = {"agent", "code"}
 """Columns that do not follow from the commands."""
 COMPUTED = ("n", "n_success", "pc_success_ci95", "metrics", "per_kind")
 """Entries of ``metrics.json`` that follow from the rows."""
@@ -176,6 +176,12 @@ def _problems_of_files(results: Results) -> Iterator[str]:
     foreign = sorted(set(seeds) - set(split_seeds(split)))
     if foreign:
         yield f"seed {foreign[0]} is not in split {info.split}"
+    for row in results.rows:
+        if row["code"] != info.code:
+            yield (
+                f"seed {row['seed']} was played by code {row['code']}, metrics.json names "
+                f"{info.code}"
+            )
     again = [row for row in results.rows if row["attempts"] != 1]
     if again and not results.privileged:
         yield f"seed {again[0]['seed']} took {again[0]['attempts']} attempts; a policy has one"
