@@ -163,7 +163,7 @@ def _left_out_in_one_line(spoken: str) -> Iterator[None]:
             from dynahoi_lerobot.core.reading import LeftOut  # which brings in NumPy
 
             if issubclass(category, LeftOut):
-                print(f"{spoken}: {message}", file=sys.stderr)
+                print(f"{spoken}: {shortened(str(message), LONGEST)}", file=sys.stderr)
             else:
                 usual(message, category, *where)
 

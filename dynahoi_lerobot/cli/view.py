@@ -27,6 +27,7 @@ from dynahoi_lerobot.core.conventions import (
     SEED_LIMIT,
 )
 from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.escaping import printable
 from dynahoi_lerobot.core.features import IMAGE_PREFIX
 from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.core.nested import changed
@@ -134,7 +135,7 @@ def run(options: Options) -> int:
     (name,) = chosen
     clip = sources[name](getattr(options, name), options)
     write_clip(options.out, clip)
-    print(f"{options.out}: {clip.caption}")
+    print(printable(f"{options.out}: {clip.caption}"))
     return 0
 
 

@@ -104,7 +104,12 @@ def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest
         raise ValueError(f"episode {unknown[0]} does not exist; {root} holds {store.episodes}")
     with reading(root / MANIFEST_PATH):
         limits = validated(FileLimits, manifest.provenance.get("limits", {}), "limits")
-    provenance = manifest.provenance | {"kept": sorted(kept)}
+        # numbers in the plan, from which an earlier copy may have left some out
+        earlier = manifest.provenance.get("kept", list(range(store.episodes)))
+        numbers = validated(list[int], earlier, "kept")
+    provenance = manifest.provenance | {
+        "kept": [number for index, number in enumerate(numbers) if index in kept]
+    }
     return _assemble(output, iter([(store, kept)]), limits, provenance, {})
 
 

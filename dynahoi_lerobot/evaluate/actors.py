@@ -5,6 +5,7 @@ from typing import Any
 
 from dynahoi_lerobot.captures import CAPTURES
 from dynahoi_lerobot.core.agent import Actor
+from dynahoi_lerobot.core.escaping import printable
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.rules import Rules
@@ -64,6 +65,6 @@ def playing_rules(given: Mapping[str, Any], actor: Actor) -> dict[str, Any]:
         if value != getattr(usual, name)
     ]
     if told:
-        print(f"{actor.name} plays as it was trained: {', '.join(told)}")
+        print(printable(f"{actor.name} plays as it was trained: {', '.join(told)}"))
     views = tuple(dict.fromkeys((*given.get("views", ()), *actor.views)))
     return trained | dict(given) | {"views": views}

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from dynahoi_lerobot.core.escaping import shortened
+from dynahoi_lerobot.core.escaping import printable, shortened
 from dynahoi_lerobot.core.reading import read_object, tensor_shapes
 from dynahoi_lerobot.evaluate.checkpoint_code import code_in, entries, refuse_remote_code
 from dynahoi_lerobot.evaluate.checkpoint_files import (
@@ -82,7 +82,7 @@ def checked_folder(path: str, *, trust: bool = False, revision: str | None = Non
             raise PolicyError(
                 f"{finding}; give --trust only if you would run a program from the same source"
             )
-        print(f"--trust: {finding}", file=sys.stderr)
+        print(f"--trust: {printable(finding)}", file=sys.stderr)
     base = base_folder(described)
     if base is not None:
         if (base / ADAPTER).exists():

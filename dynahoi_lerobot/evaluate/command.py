@@ -146,6 +146,7 @@ def run(options: Options) -> int:
         privileged=actor.privileged,
     )
     with kept_results(options.out, info) as earlier:
+        _refuse_missing_clips(options, earlier)
         seeds = _seeds(options, earlier.seeds)
         results = earlier if seeds else _finished(earlier)
         for episodes in _played(options, recipe, actor, seeds, _batch_size(options, inference)):
@@ -251,6 +252,26 @@ def _vlm(options: Options) -> Agent:
     return VlmAgent(client, name=f"vlm:{options.model}:{options.prompt}")
 
 
+def _clip_path(folder: Path, motion: str, seed: int) -> Path:
+    return folder / f"{motion}_{seed}.gif"
+
+
+def _refuse_missing_clips(options: Options, earlier: Results) -> None:
+    """Raise a ValueError if an episode that was played without ``--gifs`` is now to be recorded:
+    it is not played again.
+    """
+    shown = split_seeds(options.split)[: options.gifs]
+    folder = earlier.folder
+    for row in earlier.rows:
+        seed = row["seed"]
+        if seed in shown and not _clip_path(folder, row["kind"], seed).exists():
+            raise ValueError(
+                f"--gifs {options.gifs} comes too late: {folder} holds the episode of seed {seed} "
+                f"without a clip; leave it out, and draw clips with `dynahoi view --results "
+                f"{folder} --seed {seed} --out FILE.gif`"
+            )
+
+
 def _seeds(options: Options, played: set[int]) -> list[int]:
     """Return the seeds to play that are not among those ``played`` before."""
     seeds = split_seeds(options.split)
@@ -288,9 +309,8 @@ def _played(
                 if options.out and episode.meta.seed in shown:
                     from dynahoi_lerobot.evaluate.gif import episode_gif  # which brings in OpenCV
 
-                    episode_gif(
-                        options.out / f"{episode.meta.motion}_{episode.meta.seed}.gif", episode
-                    )
+                    clip = _clip_path(options.out, episode.meta.motion, episode.meta.seed)
+                    episode_gif(clip, episode)
                 played.append(replace(episode, images={}))
                 progress.update()
             yield played

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.core.escaping import printable
 from dynahoi_lerobot.core.nested import flat
 from dynahoi_lerobot.core.numerics import TOLERANCE
 from dynahoi_lerobot.core.progress import progress_bar
@@ -44,7 +45,7 @@ from dynahoi_lerobot.sampling.splits import split_seeds
 PLAYED_TOGETHER = 32
 SHOWN = 10
 """Findings that are printed."""
-NOT_REPLAYED = {"agent"}
+NOT_REPLAYED = {"agent", "code"}
 """Columns that do not follow from the commands."""
 COMPUTED = ("n", "n_success", "pc_success_ci95", "metrics", "per_kind")
 """Entries of ``metrics.json`` that follow from the rows."""
@@ -60,7 +61,8 @@ def run(folder: Path, salt: str, count: int | None, seed: int | None) -> int:
     results = read_results(folder)
     recipe = open_recipe(results, salt)
     if recipe_code(recipe) != results.info.code:
-        print(f"made by {_otherwise(results)}, so that numbers may differ by more than rounding")
+        made_by = printable(_otherwise(results))
+        print(f"made by {made_by}, so that numbers may differ by more than rounding")
     for name in (METRICS_FILE, EPISODES_FILE, ACTIONS_FILE):
         print(f"sha256 {sha256(results.folder / name)}  {results.folder / name}")
     for name, (value, rule) in (changed_rules(results) | _unseen_rules(results)).items():
@@ -69,7 +71,7 @@ def run(folder: Path, salt: str, count: int | None, seed: int | None) -> int:
     chosen = drawn(len(results.rows), count, seed)
     findings = replay_problems(results, recipe, chosen)
     for finding in findings[:SHOWN]:
-        print(finding)
+        print(printable(finding))
     of = (
         f"{len(results.rows)} episodes in the folder, "
         f"{len(split_seeds(split_of(results.info.split)))} in the split"
@@ -174,6 +176,12 @@ def _problems_of_files(results: Results) -> Iterator[str]:
     foreign = sorted(set(seeds) - set(split_seeds(split)))
     if foreign:
         yield f"seed {foreign[0]} is not in split {info.split}"
+    for row in results.rows:
+        if row["code"] != info.code:
+            yield (
+                f"seed {row['seed']} was played by code {row['code']}, metrics.json names "
+                f"{info.code}"
+            )
     again = [row for row in results.rows if row["attempts"] != 1]
     if again and not results.privileged:
         yield f"seed {again[0]['seed']} took {again[0]['attempts']} attempts; a policy has one"

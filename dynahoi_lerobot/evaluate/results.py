@@ -210,7 +210,7 @@ class Results:
         ``inference`` is ``sync`` if the world waited for the policy, else such as ``async 150 ms``.
         """
         played = flat(self.info.recipe)
-        values = {name: _number(played[name]) for name in COMPARED}
+        values = {name: _shown(played[name]) for name in COMPARED}
         return values | {"inference": self.info.extra.get("inference") or SYNC}
 
     @property
@@ -340,8 +340,10 @@ def read_results(folder: Path) -> Results:
     return Results(folder, info, tuple(rows), tuple(actions), head)
 
 
-def _number(value: Any) -> str:
-    """Return a number of a recipe that anybody may have written."""
+def _shown(value: Any) -> str:
+    """Return a value of a recipe that anybody may have written; an empty list is the default."""
+    if isinstance(value, list | tuple):
+        return ", ".join(value) or "default"
     return f"{value:g}" if isinstance(value, int | float) else str(value)
 
 

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
+from dynahoi_lerobot.core.escaping import printable
 from dynahoi_lerobot.evaluate.compare import paired_difference, verdict
 from dynahoi_lerobot.evaluate.results import Results
 from dynahoi_lerobot.evaluate.rows import STRATA
@@ -67,14 +68,18 @@ class Table:
         """Return the lines of the table, its caption on top and columns with numbers flush
         right.
         """
-        rows = [[f"{cell.text} {cell.detail}".strip() for cell in row] for row in self.rows]
+        # a name may hold the end of a line, after which it could say anything
+        head = [printable(title) for title in self.head]
+        rows = [
+            [printable(f"{cell.text} {cell.detail}".strip()) for cell in row] for row in self.rows
+        ]
         columns = []
-        for column, numeric in zip(zip(self.head, *rows, strict=True), self.numeric(), strict=True):
+        for column, numeric in zip(zip(head, *rows, strict=True), self.numeric(), strict=True):
             width = max(map(len, column))
             columns.append([text.rjust(width) if numeric else text.ljust(width) for text in column])
-        head, *lines = ("  ".join(line).rstrip() for line in zip(*columns, strict=True))
-        rule = "-" * max(map(len, [head, *lines]))
-        return "\n".join([*filter(None, [self.caption]), head, rule, *lines])
+        first, *lines = ("  ".join(line).rstrip() for line in zip(*columns, strict=True))
+        rule = "-" * max(map(len, [first, *lines]))
+        return "\n".join([*filter(None, [printable(self.caption)]), first, rule, *lines])
 
     def numeric(self) -> list[bool]:
         """Tell for each column whether it holds numbers."""

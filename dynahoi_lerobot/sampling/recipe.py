@@ -48,12 +48,15 @@ class Recipe:
         compared=True,
     )
     instructions: str = option(
-        "mixed", "whether language instructions name the motion: reveal, neutral or mixed"
+        "mixed",
+        "whether language instructions name the motion: reveal, neutral or mixed",
+        compared=True,
     )
     appearance: tuple[str, ...] = option(
         (),
         "comma-separated visual randomizations beyond the training distribution: materials, "
         "lights, specular, transparency, distractors",
+        compared=True,
     )
     salt: str = option(
         "",

@@ -77,7 +77,12 @@ def run(options: Options) -> int:
     with tqdm(
         total=episodes if isinstance(episodes, int) else None, unit="episode", disable=None
     ) as bar:
-        findings = verify(options.root, replayed=options.replay, progress=bar.update, note=print)
+        findings = verify(
+            options.root,
+            replayed=options.replay,
+            progress=bar.update,
+            note=lambda sentence: print(printable(sentence)),
+        )
     for finding in findings:
         print(finding)
     told = f"{len(findings)} findings" if findings else f"{episodes} episodes, no findings"

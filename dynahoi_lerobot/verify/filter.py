@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from dynahoi_lerobot.core.arguments import argument, option
+from dynahoi_lerobot.core.escaping import printable
 from dynahoi_lerobot.core.reading import reading
 from dynahoi_lerobot.dataset.columns import BOOKKEEPING, numeric_keys
 from dynahoi_lerobot.dataset.merge import copy_subset
@@ -57,7 +58,7 @@ def run(options: Options) -> int:
             options.root, output, [index for index in range(episodes) if index not in left_out]
         )
     for sentence in outliers.values():
-        print(sentence)
+        print(printable(sentence))
     where = (
         "dry run, nothing was written" if options.dry_run else f"the others are in {options.out}"
     )

@@ -37,6 +37,7 @@ def check(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
         (f"{EVAL} --env.latency_ms=150", "with mode sync the world waits"),
         (f"{EVAL} --policy.path=no/such/folder", "'no/such/folder'"),
         (f"{EVAL} --policy.path={SHIPPED.parent}", "holds no policy"),
+        (f"{EVAL} --env.results_dir=RESULTS", "holds results; remove it"),
         (RECORD, "dataset.fps must be 20"),
         (f"{RECORD} --dataset.fps=30", "but is 30"),
         (ROLLOUT, "fps must be 20"),
@@ -45,7 +46,9 @@ def check(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
         (f"{TELEOPERATE} --robot.task=lobb", "'lobb'"),
     ],
 )
-def test_a_mistake_is_one_sentence(command: str, named: str, monkeypatch, capsys) -> None:
+def test_a_mistake_is_one_sentence(command: str, named: str, *, monkeypatch, capsys, tmp_path):
+    (tmp_path / "metrics.json").touch()
+    command = command.replace("RESULTS", str(tmp_path))
     with pytest.raises(SystemExit) as end:
         check(command, monkeypatch)
     assert end.value.code == 2

@@ -152,7 +152,15 @@ def test_results_go_below_lerobots_output_folder(tmp_path: Path, said) -> None:
         assert said(["lerobot-train", recipe, *words]).output_dir == Path("out/run")
     assert said(["lerobot-eval"]).output_dir == Path("outputs")
     launch = said(["lerobot-train", recipe])
-    assert launch.new_results_folder().parent == Path("outputs/act/dynahoi")
+    assert launch.results_folder(None).parent == Path("outputs/act/dynahoi")
+    assert launch.results_folder("mine").parent == Path("mine")
+
+
+def test_an_evaluation_replaces_no_results(act: Path, tmp_path: Path) -> None:
+    first = through_lerobot(act, tmp_path, "--eval.n_episodes=1", "--eval.batch_size=1")
+    with pytest.raises(ValueError, match="holds results; remove it"):
+        through_lerobot(act, tmp_path, "--env.task=lob", f"--output_dir={tmp_path / 'second'}")
+    assert read_results(tmp_path).rows == first.rows
 
 
 def test_a_checkpoint_is_played_under_the_rules_it_was_trained_for(tmp_path, monkeypatch, capsys):

@@ -59,6 +59,13 @@ def another_version(folder: Path) -> None:
     rewritten(folder, rows=rows, info=replace(results.info, benchmark="v9"))
 
 
+def other_code(folder: Path) -> None:
+    results = read_results(folder)
+    code = "0123456789abcdef"
+    rows = tuple(row | {"code": code} for row in results.rows)
+    rewritten(folder, rows=rows, info=replace(results.info, code=code))
+
+
 def more_attempts(folder: Path) -> None:
     results = read_results(folder)
     unmarked = replace(results.info, extra=results.info.extra | {"privileged": False})
@@ -86,6 +93,7 @@ FORGERIES: list[tuple[Callable[[Path], None], str]] = [
     (longer_logs, "an evaluation with them"),
     (another_version, "are of benchmark v9"),
     (set_head(split="val"), "names split val"),
+    (set_head(code="0123456789abcdef"), "metrics.json names 0123456789abcdef"),
 ]
 """What is done to a result, and what is found; ``{i}`` stands for the seed of row i."""
 
@@ -109,8 +117,23 @@ def test_an_honest_result_replays_and_its_digests_are_told(honest: Path):
 
 def test_results_of_other_code_are_replayed_with_a_word(honest: Path, tmp_path: Path):
     other = shutil.copytree(honest, tmp_path / "other")
-    set_head(code="0123456789abcdef")(other)
-    assert "made by other code" in dynahoi("evaluate", "--replay", other).out
+    other_code(other)
+    said = dynahoi("evaluate", "--replay", other).out
+    assert "made by other code" in said
+    assert "every number is the same" in said
+
+
+def test_what_results_say_begins_no_line_of_a_replay(honest: Path, tmp_path: Path):
+    other = shutil.copytree(honest, tmp_path / "other")
+    end = "\nevery number is the same"
+
+    def forge(head: dict) -> None:
+        head["extra"]["surroundings"] = {"numpy": end}
+        head["per_kind"][end] = head["metrics"]
+
+    edit_json(other / "metrics.json", forge, code="0123456789abcdef")
+    lines = dynahoi("evaluate", "--replay", other, code=1).out.splitlines()
+    assert not [line for line in lines if line.startswith(end.strip())]
 
 
 def test_a_drawn_sample_can_be_drawn_again(honest: Path):

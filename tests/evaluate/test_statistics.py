@@ -135,6 +135,12 @@ def test_many_evaluations_are_lines_and_few_are_columns_under_what_they_share():
     assert all(len(line) == len(rule) <= 100 for line in lines)
 
 
+def test_a_name_with_line_ends_adds_no_line_to_a_table():
+    plain = results_table([results("a"), results("b")])
+    odd = results_table([results("a\nS_loc % ↑  100.0"), results("b")])
+    assert odd.count("\n") == plain.count("\n")
+
+
 def test_motions_and_objects_are_named_where_some_are_left_out():
     some = {"motions": ("lob", "bounce"), "objects": ("ball",)}
     many = {"motions": ("lob", "bounce", "constant", "lateral")}

@@ -14,7 +14,7 @@ from dynahoi_lerobot.dataset.store import Store
 from dynahoi_lerobot.verify.command import verify
 from dynahoi_lerobot.verify.filter import find_outliers
 from tests.dataset.episodes import changed, varied_episode
-from tests.tools import dynahoi
+from tests.tools import dynahoi, generated
 from tests.verify.test_forgeries import DATA, ROWS, TRUTH, Forgery, column, table
 
 SENTENCE = "episode 7: action.thumb_tip.pos reaches 2.200, outside -0.500 to 1.500 in 1 frame"
@@ -75,6 +75,15 @@ def test_a_dry_run_names_them_and_writes_nothing(with_outlier, tmp_path):
 def test_named_episodes_are_left_out(with_outlier, tmp_path):
     dynahoi("filter", with_outlier, "--out", tmp_path / "new", "--drop", "0,3")
     assert [row["seed"] for row in Store(tmp_path / "new").rows] == [1, 2, *range(4, 12)]
+
+
+def test_a_copy_of_a_copy_passes_verify(tmp_path):
+    words = ("--episodes", "4", "--image-size", "0", "--motions", "constant")
+    made = generated(tmp_path / "made", *words)
+    dynahoi("filter", made, "--out", tmp_path / "once", "--drop", "0")
+    dynahoi("filter", tmp_path / "once", "--out", tmp_path / "twice", "--drop", "1")
+    assert [row["seed"] for row in Store(tmp_path / "twice").rows] == [1, 3]
+    assert "2 episodes, no findings" in dynahoi("verify", tmp_path / "twice", "--replay", 0).out
 
 
 def retyped(path: str, key: str, values: list) -> Forgery:

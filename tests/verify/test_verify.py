@@ -241,6 +241,16 @@ def test_a_dataset_of_other_code_is_replayed_with_a_word(copy):
     assert any("0123" in note for note in told)
 
 
+def test_what_a_dataset_says_begins_no_line(copy):
+    edit_json(
+        copy / "meta/manifest.json",
+        lambda content: content["provenance"].update(code="0123\n2 episodes, no findings"),
+    )
+    sign(copy)
+    lines = dynahoi("verify", copy, "--replay", 0).out.splitlines()
+    assert not [line for line in lines if line.startswith("2 episodes")]
+
+
 def test_an_expert_that_fails_where_it_succeeded_is_found(sound, monkeypatch):
     monkeypatch.setattr("dynahoi_lerobot.verify.replay.played_again", lambda *_: None)
     assert found(sound, replayed=2) == {"replay"}

@@ -1,6 +1,7 @@
 """What is wrong with LeRobot's command line, in one sentence, before LeRobot reads it."""
 
 import os
+from pathlib import Path
 
 import draccus
 
@@ -12,6 +13,7 @@ from dynahoi_lerobot.core.lerobot_internals import (
 )
 from dynahoi_lerobot.evaluate.checkpoint_files import CONFIG, described_folder, hint_at_checkpoint
 from lerobot_env_dynahoi.configuration_dynahoi import DynahoiEnvConfig
+from lerobot_env_dynahoi.task_env import refuse_results
 
 DESCRIBED = ("features", "features_map")
 """Fields of every environment's config that ours fills in by itself."""
@@ -31,7 +33,9 @@ def check_command_line() -> None:
                     f"env.{name} cannot be set: it follows from env.views, env.image_size and the "
                     f"other rules"
                 )
-        draccus.parse(DynahoiEnvConfig, args=given_words("env"))
+        config = draccus.parse(DynahoiEnvConfig, args=given_words("env"))
+        if config.results_dir is not None:
+            refuse_results(Path(config.results_dir))
 
 
 def _check_policy(path: str | None) -> None:

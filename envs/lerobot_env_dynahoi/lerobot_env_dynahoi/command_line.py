@@ -40,11 +40,15 @@ class Launch:
     config: Any = None
     output_dir: Path = Path("outputs")
 
-    def new_results_folder(self) -> Path:
-        """Return a folder for an evaluation that begins now: a training evaluates several times, so
-        each evaluation has a folder of its own.
+    def results_folder(self, named: str | None) -> Path:
+        """Return the folder for an evaluation that begins now: the one that ``env.results_dir``
+        names, or else a new one below LeRobot's. A training evaluates several times, so each of its
+        evaluations has a new folder below the named one.
         """
-        return self.output_dir / "dynahoi" / datetime.now().strftime("%Y-%m-%d_%H-%M-%S_%f")
+        if named is not None and command_name() != "lerobot-train":
+            return Path(named)
+        parent = self.output_dir / "dynahoi" if named is None else Path(named)
+        return parent / datetime.now().strftime("%Y-%m-%d_%H-%M-%S_%f")
 
     def stepwise(self, timing: Inference, n_action_steps: int) -> StepwiseInference:
         """Return the timeline of one environment whose policy is asked for one action a call.

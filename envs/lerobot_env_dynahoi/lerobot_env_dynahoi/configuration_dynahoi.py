@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, make_dataclass, replace
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -62,8 +61,8 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
         n_action_steps: the policy's, where LeRobot's command line does not name the policy; else
             leave it 0.
         reward: ``sparse`` or ``dense``, see `dynahoi_lerobot.env.vector_env.REWARDS`.
-        results_dir: where the metrics go; a new folder below ``dynahoi`` in LeRobot's
-            ``--output_dir`` if None.
+        results_dir: where the metrics go, in training each evaluation's to a new folder in it; a
+            new folder below ``dynahoi`` in LeRobot's ``--output_dir`` if None.
     """
 
     task: str | None = None
@@ -118,7 +117,7 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
 
         Raises:
             ValueError: for a timing of inference that there is not, or that cannot be had with the
-                policy.
+                policy, or if ``results_dir`` holds results.
         """
         del use_async_envs
         timing = Inference(self.inference, self.latency_ms)
@@ -152,8 +151,7 @@ class DynahoiEnvConfig(RecipeFields, EnvConfig):
             inference=timing.label,
             privileged=recipe.rules.environment_state == TRUTH,
         )
-        folder = launch.new_results_folder() if self.results_dir is None else Path(self.results_dir)
-        return ResultsLog(folder, info)
+        return ResultsLog(launch.results_folder(self.results_dir), info)
 
     def _announce(self, launch: Launch) -> None:
         """Print the rules that nobody gave and that are not the default."""

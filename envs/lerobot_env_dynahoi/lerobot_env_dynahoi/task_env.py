@@ -9,7 +9,7 @@ from typing import Any
 
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.env.vector_env import DynahoiVectorEnv
-from dynahoi_lerobot.evaluate.results import Results, RunInfo
+from dynahoi_lerobot.evaluate.results import METRICS_FILE, Results, RunInfo
 from dynahoi_lerobot.evaluate.table import results_table
 
 
@@ -19,7 +19,12 @@ class ResultsLog:
     """
 
     def __init__(self, folder: Path, info: RunInfo) -> None:
-        """Write episodes of the run ``info`` into ``folder`` whenever a task ends."""
+        """Write episodes of the run ``info`` into ``folder`` whenever a task ends.
+
+        Raises:
+            ValueError: if the folder holds results.
+        """
+        refuse_results(folder)
         self._results = Results(folder, info)
         self._unwritten = False
 
@@ -39,6 +44,14 @@ class ResultsLog:
         self._unwritten = False
         print(
             f"{results_table([self._results])}\nmetrics so far: {self._results.folder}", flush=True
+        )
+
+
+def refuse_results(folder: Path) -> None:
+    """Raise a ValueError if a folder holds results, which an evaluation would replace."""
+    if (folder / METRICS_FILE).exists():
+        raise ValueError(
+            f"{folder} holds results; remove it, or name another folder by env.results_dir"
         )
 
 
