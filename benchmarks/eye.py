@@ -19,7 +19,7 @@ import torch
 from einops import rearrange
 from lerobot_policy_obact.camera import Pinhole
 from lerobot_policy_obact.encoders import Eye
-from support.options import benchmark_parser, write_numbers
+from support.options import benchmark_parser, parse_options, write_numbers
 
 from dynahoi_lerobot.core.conventions import EGO_VIEW, PALM_DOF
 from dynahoi_lerobot.core.spec import EpisodeSpec
@@ -37,7 +37,7 @@ EDGES_M = (0.0, 0.06, 0.10, 0.15, 0.25, 0.40, 0.60, np.inf)
 
 
 def main() -> None:
-    parser = benchmark_parser(__doc__, **TINY)
+    parser = benchmark_parser(__doc__)
     parser.add_argument("--eye", default="ego_96", help="safetensors file, or an eye that ships")
     parser.add_argument("--split", default="val")
     parser.add_argument("--camera", choices=(EGO_VIEW, "side"), default=EGO_VIEW)
@@ -49,7 +49,7 @@ def main() -> None:
     parser.add_argument(
         "--visited-by", type=Path, help="checkpoint whose images are looked at, not random ones"
     )
-    args = parser.parse_args()
+    args = parse_options(parser, TINY)
     torch.set_num_threads(1)
     views = () if args.camera == EGO_VIEW else (args.camera,)
     recipe = Recipe.of(split=args.split, image_size=args.image_size, views=views, hand=args.hand)

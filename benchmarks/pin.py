@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from support.options import benchmark_parser, write_numbers
+from support.options import benchmark_parser, parse_options, write_numbers
 
 from dynahoi_lerobot.core.agent import Expert, WorldView
 from dynahoi_lerobot.core.conventions import PALM_DOF
@@ -71,7 +71,7 @@ class Closing(Expert):
 
 
 def main() -> int:
-    parser = benchmark_parser(__doc__, **TINY)
+    parser = benchmark_parser(__doc__)
     parser.add_argument("--digests", type=Path, default=DIGESTS)
     parser.add_argument("--entries", type=Path, default=ENTRIES)
     parser.add_argument(
@@ -83,7 +83,7 @@ def main() -> int:
     parser.add_argument(
         "--with-images", type=int, default=IMAGE_EPISODES, help="episodes of each split with images"
     )
-    args = parser.parse_args()
+    args = parse_options(parser, TINY)
     pinned, attempts = pin(args.seeds, args.with_images)
     episodes = sum(map(len, pinned["specs"].values()))
     write_numbers(args, specs=episodes, images=len(pinned["images"]))

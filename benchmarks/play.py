@@ -25,7 +25,7 @@ from typing import Any
 import aiohttp
 import numpy as np
 from PIL import Image
-from support.options import benchmark_parser, write_numbers
+from support.options import benchmark_parser, parse_options, write_numbers
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT, EGO_VIEW, PALM_DOF
 from dynahoi_lerobot.core.episode import Episode
@@ -226,10 +226,10 @@ async def played(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = benchmark_parser(__doc__, episodes=1)
+    parser = benchmark_parser(__doc__)
     parser.add_argument("--episodes", type=int, default=20)
     parser.add_argument("--film", type=Path, help="GIF of a further, practised episode")
-    args = parser.parse_args()
+    args = parse_options(parser, {"episodes": 1})
     figures = asyncio.run(played(args))
     print(json.dumps(figures, indent=2))
     write_numbers(args, **figures)

@@ -24,7 +24,13 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from support.options import benchmark_parser, pinned_benchmark, provenance, write_numbers
+from support.options import (
+    benchmark_parser,
+    parse_options,
+    pinned_benchmark,
+    provenance,
+    write_numbers,
+)
 
 from dynahoi_lerobot.evaluate.checkpoint_files import folder_weights
 from dynahoi_lerobot.evaluate.compare import compare
@@ -159,7 +165,7 @@ class Plan:
 
 def main() -> None:
     """Do what is missing of each row, and print the table."""
-    parser = benchmark_parser(__doc__, **TINY)
+    parser = benchmark_parser(__doc__)
     parser.add_argument("--rows", type=Path, default=ROWS, help="YAML file of datasets and rows")
     parser.add_argument("--only", nargs="+", help="names of rows; all by default")
     parser.add_argument("--root", type=Path, default=Path("outputs/results"))
@@ -185,7 +191,7 @@ def main() -> None:
     parser.add_argument("--train", default="", help="options added to every training")
     parser.add_argument("--workers", type=int, default=2, help="processes that generate")
     parser.add_argument("--dry-run", action="store_true", help="print the commands and stop")
-    args = parser.parse_args()
+    args = parse_options(parser, TINY)
     table = yaml.safe_load(args.rows.read_text())
     rows = [Row(**row) for row in table["rows"]]
     if unknown := set(args.only or []) - {row.name for row in rows}:

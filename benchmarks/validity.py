@@ -25,7 +25,7 @@ from support.fixed_paths import (
     relative_paths,
     search_path,
 )
-from support.options import benchmark_parser, pinned_benchmark, write_numbers
+from support.options import benchmark_parser, parse_options, pinned_benchmark, write_numbers
 
 from dynahoi_lerobot.core.protocols import CONTROL_CLASSES
 from dynahoi_lerobot.core.spec import EpisodeSpec
@@ -50,6 +50,7 @@ BASELINES = (
     "constant_acceleration",
     "intercept",
 )
+TINY = {"episodes": 22, "control": ["late"], "baselines": ["hold"], "search": 4}
 WORLDS = 64
 FRAMES, WIDTH, FINENESS = 80, 64, 2
 """Of the paths that are searched: length, and see ``search_path``."""
@@ -57,7 +58,7 @@ Rate = dict[str, float]
 
 
 def main() -> None:
-    parser = benchmark_parser(__doc__, episodes=22, control=["late"], baselines=["hold"], search=4)
+    parser = benchmark_parser(__doc__)
     parser.add_argument("--episodes", type=int, default=220)
     parser.add_argument("--split", default="test")
     parser.add_argument(
@@ -83,7 +84,7 @@ def main() -> None:
         "--homes", type=int, default=1, help="search a path for each of so many clusters of homes"
     )
     parser.add_argument("--save", type=Path, help="file for what was found")
-    args = parser.parse_args()
+    args = parse_options(parser, TINY)
     specs = sample_specs(Recipe(split=args.split), range(args.episodes), threads=0)
     found = search(args, specs) if args.search else {}
     tables = {
