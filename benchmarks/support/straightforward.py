@@ -7,6 +7,7 @@ frame buffer has the size of the image, the model is compiled once and every epi
 it, and the recorder leaves out the columns that take extra work (contacts, captures).
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -186,7 +187,7 @@ class StraightforwardEnv(gym.Env):
         data.qvel[dof : dof + 6] = [*data.qvel[scene.hand_dof[:PALM_DOF]], 0, 0, 0]
 
 
-def record(root: Path, recipe: Recipe, seeds: list[int], *, shadows: bool = False) -> int:
+def record(root: Path, recipe: Recipe, seeds: Sequence[int], *, shadows: bool = False) -> int:
     """Record the expert's successes with LeRobot's streaming writer, coded as this project codes;
     return the frames.
     """
