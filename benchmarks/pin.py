@@ -183,7 +183,8 @@ def write(pinned: Pinned, digests: Path, entries: Path) -> None:
         split: np.array([*by_seed.values()], np.uint16)
         for split, by_seed in pinned["attempts"].items()
     }
-    np.savez_compressed(entries, benchmark=np.array(pinned["entries_of"]), **attempts)
+    identity = np.array(pinned["entries_of"])
+    np.savez_compressed(entries, benchmark=identity, **attempts)  # type: ignore[arg-type]
 
 
 def differences(found: Pinned, wanted: Pinned) -> list[str]:

@@ -53,7 +53,7 @@ def met_by_nearest(
     palm = np.concatenate([np.zeros((len(paths), 1, 3)), paths], axis=1)[labels]
     targets = _relative_paths(specs)
     moves = np.diff(palm, axis=1) - np.diff(targets, axis=1)
-    return _meets((palm - targets)[:, :-1], moves).any(axis=1)
+    return np.any(_meets((palm - targets)[:, :-1], moves), axis=1)
 
 
 def _homes(specs: Sequence[EpisodeSpec]) -> np.ndarray:
