@@ -10,6 +10,7 @@ begin again as in evaluation; actions wander about the measured state.
 
 import argparse
 import statistics
+from collections import defaultdict
 from collections.abc import Callable
 from functools import partial
 
@@ -24,28 +25,18 @@ from dynahoi_lerobot.env import DynahoiVectorEnv
 TINY = {"num_envs": [2], "image_size": 32, "rounds": 1, "steps": 2, "env_steps": 4}
 
 
-def native(num_envs: int, image_size: int) -> VectorEnv:
-    return DynahoiVectorEnv(num_envs, image_size=image_size)
+SYSTEMS = (DynahoiVectorEnv, SyncVectorEnv, AsyncVectorEnv)
 
 
-def one_by_one(num_envs: int, image_size: int) -> VectorEnv:
-    return SyncVectorEnv([partial(StraightforwardEnv, image_size)] * num_envs)
-
-
-def one_process_each(num_envs: int, image_size: int) -> VectorEnv:
-    return AsyncVectorEnv([partial(StraightforwardEnv, image_size)] * num_envs)
-
-
-SYSTEMS: dict[str, Callable[[int, int], VectorEnv]] = {
-    "DynahoiVectorEnv": native,
-    "SyncVectorEnv": one_by_one,
-    "AsyncVectorEnv": one_process_each,
-}
-
-
-def steps_per_second(system: str, num_envs: int, image_size: int, steps: int) -> dict[str, float]:
+def steps_per_second(
+    system: Callable[..., VectorEnv], num_envs: int, image_size: int, steps: int
+) -> dict[str, float]:
     """Time ``steps`` steps of one vector env."""
-    seconds, _ = wander(SYSTEMS[system](num_envs, image_size), steps)
+    if system is DynahoiVectorEnv:
+        env = system(num_envs, image_size=image_size)
+    else:
+        env = system([partial(StraightforwardEnv, image_size)] * num_envs)
+    seconds, _ = wander(env, steps)
     return {"steps_s": steps * num_envs / seconds}
 
 
@@ -75,11 +66,11 @@ def compare(num_envs: int, args: argparse.Namespace) -> list[dict[str, object]]:
     """Measure the systems in turns, print and return one line each."""
     # few worlds take longer to see episodes end
     steps = max(args.steps, args.env_steps // num_envs)
-    rates: dict[str, list[float]] = {name: [] for name in SYSTEMS}
+    rates = defaultdict(list)
     for _ in range(args.rounds):
-        for name in SYSTEMS:
-            found = measure_apart(steps_per_second, name, num_envs, args.image_size, steps)
-            rates[name].append(found["steps_s"])
+        for system in SYSTEMS:
+            found = measure_apart(steps_per_second, system, num_envs, args.image_size, steps)
+            rates[system.__name__].append(found["steps_s"])
     lines = []
     for name, own in rates.items():
         ratios = [a / b for a, b in zip(rates["DynahoiVectorEnv"], own, strict=True)]

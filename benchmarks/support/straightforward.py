@@ -37,7 +37,9 @@ from dynahoi_lerobot.scene.world_fields import drive_for
 from dynahoi_lerobot.world.batch import WorldBatch
 
 SETTLE_FRAMES = 10
-RECORDED = ("state", "phase", "action")
+STATE = FEATURES["state"].key
+PHASE = FEATURES["phase"].key
+ACTION = FEATURES["action"].key
 
 
 class StraightforwardEnv(gym.Env):
@@ -227,23 +229,22 @@ def _play(env: StraightforwardEnv, dataset: Any, spec: EpisodeSpec) -> bool:
         before = seen
         action = expert.command(env.view()) - env.origin_w
         seen = env.step(action)[0]
-        dataset.add_frame(_frame(before, env.executed, spec.task))
+        frame = {
+            STATE: before["agent_pos"],
+            PHASE: before["phase"].astype(np.float32),
+            ACTION: env.executed.astype(np.float32),
+            CAMERA_KEY: before["pixels"]["ego"],
+        }
+        dataset.add_frame(frame | {"task": spec.task})
     return env.success
 
 
-def _frame(seen: dict, executed: np.ndarray, task: str) -> dict[str, Any]:
-    values = (seen["agent_pos"], seen["phase"], executed)
-    frame = {
-        FEATURES[name].key: value.astype(np.float32)
-        for name, value in zip(RECORDED, values, strict=True)
-    }
-    return frame | {CAMERA_KEY: seen["pixels"]["ego"], "task": task}
-
-
 def _features(image_size: int) -> dict[str, dict[str, Any]]:
-    stored = [FEATURES[name] for name in RECORDED]
-    features = {f.key: {"dtype": f.dtype, "shape": f.shape, "names": list(f.names)} for f in stored}
+    """Return LeRobot's description of the columns."""
     camera = image_feature("ego", image_size)
-    return features | {
-        CAMERA_KEY: {"dtype": "video", "shape": camera.shape, "names": list(camera.names)}
-    }
+    features = {}
+    for feature in (FEATURES["state"], FEATURES["phase"], FEATURES["action"], camera):
+        dtype = "video" if feature is camera else feature.dtype
+        names = list(feature.names)
+        features[feature.key] = {"dtype": dtype, "shape": feature.shape, "names": names}
+    return features
