@@ -1,6 +1,7 @@
 """How this checkout compares with another one, in time and memory.
 
-python benchmarks/against.py CHECKOUT [--only NAME ...] [--rounds 2] [--processes 2] [--json FILE]
+    python benchmarks/against.py CHECKOUT
+    python benchmarks/against.py CHECKOUT --only generation state_env --rounds 4 --json FILE
 
 CHECKOUT is a clone of the build to compare with, with an environment of its own (`uv sync` in it).
 The two take turns (A B, A B), every measurement is a process of its own, and a row is the median
@@ -15,17 +16,16 @@ import os
 import statistics
 import subprocess
 import sys
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from support.measures import MEASURES, Settings
-from support.options import REPOSITORY, benchmark_parser, spread, write_numbers
+from support.options import REPOSITORY, benchmark_parser, parse_options, spread, write_numbers
 
 PROGRAM = Path(__file__).parent / "support" / "measures.py"
-SIZES = {field.name: field.default for field in fields(Settings)}
+SIZES = vars(Settings())
 TINY = {
-    "itself": True,
+    "checkout": REPOSITORY,
     "only": ["state_env"],
     "rounds": 1,
     "num_envs": 2,
@@ -36,7 +36,7 @@ TINY = {
 
 
 def main() -> None:
-    parser = benchmark_parser(__doc__, **TINY)
+    parser = benchmark_parser(__doc__)
     parser.add_argument(
         "checkout",
         type=Path,
@@ -44,17 +44,20 @@ def main() -> None:
         help="the build to compare with; this one with --tiny",
     )
     parser.add_argument(
-        "--only", nargs="+", choices=list(MEASURES), default=list(MEASURES), metavar="NAME",
+        "--only",
+        nargs="+",
+        choices=list(MEASURES),
+        default=list(MEASURES),
+        metavar="NAME",
         help=f"measures, of {', '.join(MEASURES)}; all by default",
-    )  # fmt: skip
+    )
     parser.add_argument("--rounds", type=int, default=2)
     for name, value in SIZES.items():
         parser.add_argument(f"--{name.replace('_', '-')}", type=int, default=value)
-    parser.set_defaults(itself=False)
-    args = parser.parse_args()
-    if not (args.checkout or args.itself):
+    args = parse_options(parser, TINY)
+    if args.checkout is None:
         parser.error("name the CHECKOUT to compare with")
-    args.checkout = (args.checkout or REPOSITORY).resolve()
+    args.checkout = args.checkout.resolve()
     tables = {name: compare(name, args) for name in args.only}
     write_numbers(args, tables=tables)
 
@@ -63,21 +66,20 @@ def compare(name: str, args: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Measure both checkouts in turns; print and return the numbers of this one and the other, and
     their ratios.
     """
-    rounds = [
-        {
-            "this": measured(name, REPOSITORY, args),
-            "other": measured(name, args.checkout, args),
-        }
-        for _ in range(args.rounds)
-    ]
+    rounds = []
+    for _ in range(args.rounds):
+        this = measured(name, REPOSITORY, args)
+        rounds.append((this, measured(name, args.checkout, args)))
     table = {}
-    for number in rounds[0]["this"]:
-        row = {side: [one[side][number] for one in rounds] for side in ("this", "other")}
-        row["ratio"] = [a / b for a, b in zip(row["this"], row["other"], strict=True)]
-        table[number] = row | {"median_ratio": statistics.median(row["ratio"])}
+    for number in rounds[0][0]:
+        this = [ours[number] for ours, _ in rounds]
+        other = [theirs[number] for _, theirs in rounds]
+        ratios = [a / b for a, b in zip(this, other, strict=True)]
+        median = statistics.median(ratios)
+        table[number] = {"this": this, "other": other, "ratio": ratios, "median_ratio": median}
         print(
-            f"{name:17} {number:40} {statistics.median(row['this']):9.3f} "
-            f"{statistics.median(row['other']):9.3f}   {spread(row['ratio'])}",
+            f"{name:17} {number:40} {statistics.median(this):9.3f} "
+            f"{statistics.median(other):9.3f}   {spread(ratios)}",
             flush=True,
         )
     return table
@@ -85,10 +87,10 @@ def compare(name: str, args: argparse.Namespace) -> dict[str, dict[str, Any]]:
 
 def measured(name: str, checkout: Path, args: argparse.Namespace) -> dict[str, float]:
     """Return the numbers of one measure of one checkout, from a process of its own."""
-    settings = {name: getattr(args, name) for name in SIZES}
+    settings = {size: getattr(args, size) for size in SIZES}
     command = [python(checkout), str(PROGRAM), name, json.dumps(settings)]
-    surroundings = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
-    surroundings["CUDA_VISIBLE_DEVICES"] = ""
+    surroundings = os.environ | {"CUDA_VISIBLE_DEVICES": ""}
+    surroundings.pop("PYTHONPATH", None)
     done = subprocess.run(command, env=surroundings, capture_output=True, text=True, check=False)
     if done.returncode:
         raise SystemExit(f"{checkout} cannot be measured: {done.stderr.strip()[-2000:]}")

@@ -1,12 +1,12 @@
-"""How well an eye sees where the target is: errors along and across the line of sight, by distance
-from the palm.
+"""How well an eye sees where the target is: errors along and across the line of sight.
 
-python benchmarks/eye.py --eye outputs/eye/eye.safetensors [--images 4096] [--camera side] [--json
-FILE] python benchmarks/eye.py --eye outputs/eye/eye.safetensors --visited-by
-checkpoints/obact_standard --episodes 110
+    python benchmarks/eye.py --eye outputs/eye/eye.safetensors --images 4096 --json FILE
+    python benchmarks/eye.py --eye outputs/eye/eye.safetensors --camera side
+    python benchmarks/eye.py --visited-by checkpoints/obact_standard --episodes 110
 
-Random poses of episodes of a split that the eye was not trained on, or what the hand sees while a
-policy acts, until it could have met the target; only targets within the image count.
+By distance from the palm. It looks at random poses of episodes of a split that the eye was not
+trained on, or at what the hand sees while a policy acts, until it could have met the target; only
+targets within the image count.
 """
 
 from collections.abc import Iterator
@@ -19,15 +19,14 @@ import torch
 from einops import rearrange
 from lerobot_policy_obact.camera import Pinhole
 from lerobot_policy_obact.encoders import Eye
-from support.options import benchmark_parser, write_numbers
+from support.options import benchmark_parser, parse_options, write_numbers
 
 from dynahoi_lerobot.core.conventions import EGO_VIEW, PALM_DOF
 from dynahoi_lerobot.core.spec import EpisodeSpec
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
 from dynahoi_lerobot.pretrain.recipe import PretrainRecipe
 from dynahoi_lerobot.pretrain.snapshots import Snapshots, calibration, snapshots
-from dynahoi_lerobot.rollout.loop import Session
-from dynahoi_lerobot.rollout.recorder import Job
+from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.recipe import Recipe
 from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.world.batch import WorldBatch
@@ -37,7 +36,7 @@ EDGES_M = (0.0, 0.06, 0.10, 0.15, 0.25, 0.40, 0.60, np.inf)
 
 
 def main() -> None:
-    parser = benchmark_parser(__doc__, **TINY)
+    parser = benchmark_parser(__doc__)
     parser.add_argument("--eye", default="ego_96", help="safetensors file, or an eye that ships")
     parser.add_argument("--split", default="val")
     parser.add_argument("--camera", choices=(EGO_VIEW, "side"), default=EGO_VIEW)
@@ -49,7 +48,7 @@ def main() -> None:
     parser.add_argument(
         "--visited-by", type=Path, help="checkpoint whose images are looked at, not random ones"
     )
-    args = parser.parse_args()
+    args = parse_options(parser, TINY)
     torch.set_num_threads(1)
     views = () if args.camera == EGO_VIEW else (args.camera,)
     recipe = Recipe.of(split=args.split, image_size=args.image_size, views=views, hand=args.hand)
@@ -61,10 +60,11 @@ def main() -> None:
     )
     pose, (focal_px, _, center_px, _) = calibration(eye_recipe)
     camera = Pinhole.from_pose(pose.tolist(), center_px / focal_px, carried=args.camera == EGO_VIEW)
-    batch = WorldBatch(recipe.rules, args.batch_size, threads=1)
-    random = snapshots(batch, specs, np.random.default_rng(1), args.camera)
-    stream = islice(random, args.images // args.batch_size)
-    if args.visited_by is not None:
+    if args.visited_by is None:
+        batch = WorldBatch(recipe.rules, args.batch_size, threads=1)
+        random = snapshots(batch, specs, np.random.default_rng(1), args.camera)
+        stream = islice(random, args.images // args.batch_size)
+    else:
         stream = _visited(PolicyAgent(str(args.visited_by)), recipe, specs, args.camera)
     rows = _table(np.concatenate([_errors(eye, camera, shown) for shown in stream]))
     print("distance [cm]   images   median (90 %) error along / across the line of sight [cm]")
@@ -85,32 +85,18 @@ def _visited(
     acts.
     """
     batch = WorldBatch(recipe.rules, len(specs), threads=1)
-    session = Session(batch, record_images=False)
-    session.begin(np.arange(len(specs)), [Job.evaluation(i, spec) for i, spec in enumerate(specs)])
-    policy.reset(len(specs))
-    window, meeting = (
-        np.array([getattr(s, name) for s in specs]) for name in ("window_frames", "intercept_frame")
-    )
-    before = None
-    frame = 0
-    while session.playing.size:
-        observation = session.observe(images=True)
-        now = observation.images[camera].copy()
-        acting = (
-            np.isin(np.arange(len(specs)), session.playing) & (frame >= window) & (frame < meeting)
+    for episode in evaluate(batch, policy, specs, images=True):
+        end = min(episode.meta.intercept_frame, len(episode))
+        acting = np.arange(episode.meta.window_frames, end)
+        target = episode.target_pose_h[acting, :PALM_DOF]
+        from_palm = target - episode.state[acting, :PALM_DOF]
+        place = from_palm if camera == EGO_VIEW else target
+        images = episode.images[camera]
+        yield Snapshots(
+            np.concatenate([images[acting], images[acting - 1]], axis=-1),
+            place.astype(np.float32),
+            from_palm,
         )
-        if before is not None and acting.any():
-            target = batch.target_pose_h[:, :PALM_DOF]
-            from_palm = target - observation.state[:, :PALM_DOF]
-            place = (from_palm if camera == EGO_VIEW else target).astype(np.float32)
-            yield Snapshots(
-                np.concatenate([now, before], axis=-1)[acting], place[acting], from_palm[acting]
-            )
-        terminated, truncated = session.step(policy.act(observation))
-        for i in np.flatnonzero(terminated | truncated):
-            session.finish(int(i), policy.name)
-        before = now
-        frame = frame + 1
 
 
 @torch.no_grad()
@@ -130,13 +116,23 @@ def _errors(eye: Eye, camera: Pinhole, shown: Snapshots) -> np.ndarray:
 
 
 def _table(errors: np.ndarray) -> list[dict[str, Any]]:
+    """Return a row for each range of distances in which there are targets: how many, and the median
+    and 90 % quantile of their errors [cm].
+    """
     rows = []
     for low, high in pairwise(EDGES_M):
         some = 100 * errors[(errors[:, 0] >= low) & (errors[:, 0] < high)]
         if len(some):
-            along, across = (np.quantile(some[:, column], (0.5, 0.9)).tolist() for column in (1, 2))
-            bounds = {"from_cm": 100 * low, "to_cm": 100 * high if np.isfinite(high) else None}
-            rows.append({**bounds, "images": len(some), "along_cm": along, "across_cm": across})
+            quantiles = np.quantile(some, (0.5, 0.9), axis=0)
+            rows.append(
+                {
+                    "from_cm": 100 * low,
+                    "to_cm": 100 * high if np.isfinite(high) else None,
+                    "images": len(some),
+                    "along_cm": quantiles[:, 1].tolist(),
+                    "across_cm": quantiles[:, 2].tolist(),
+                }
+            )
     return rows
 
 

@@ -1,8 +1,8 @@
-"""Frames per second of generation, end to end: ours against the loop that a LeRobot user would
-write.
+"""Frames per second of generation, end to end: ours against the loop of a LeRobot user.
 
-python benchmarks/generate.py [--episodes 2048] [--image-size 128] [--rounds 2] [--device cpu]
-[--json FILE]
+    python benchmarks/generate.py
+    python benchmarks/generate.py --episodes 256 --image-size 96 --plain-episodes 8 --json FILE
+    python benchmarks/generate.py --device cuda
 
 End to end means simulated, rendered, encoded, with statistics, on disk as a LeRobotDataset. All
 play the same seeds in the same scene with the same expert, on as many processes; rounds take turns
@@ -22,17 +22,21 @@ import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
+from itertools import batched
 from multiprocessing import get_context
 from pathlib import Path
 
+from support import straightforward
 from support.isolated import measure_apart
-from support.options import benchmark_parser, write_numbers
+from support.options import benchmark_parser, parse_options, write_numbers
 from support.stages import stage_shares, stages_alone
 
+from dynahoi_lerobot.generate.pipeline import generate
+from dynahoi_lerobot.generate.plan import GenerationPlan, shard_size
+from dynahoi_lerobot.rollout.loop import record
 from dynahoi_lerobot.rollout.recording import Recording
 from dynahoi_lerobot.sampling.recipe import Recipe
 
-FIRST_SEED = 0
 TINY = {
     "episodes": 2,
     "plain_episodes": 1,
@@ -41,74 +45,67 @@ TINY = {
     "image_size": 32,
     "stage_episodes": 1,
 }
-SYSTEMS = ("ours", "plain", "plain_shadows")
 
 
 def ours(episodes: int, image_size: int, processes: int) -> dict[str, float]:
     """Generate a dataset as ``dynahoi generate`` does."""
-    from dynahoi_lerobot.generate.pipeline import generate
-    from dynahoi_lerobot.generate.plan import GenerationPlan, shard_size
-    from dynahoi_lerobot.rollout.loop import record
+    recording = Recording.of(image_size=image_size)
+    plan = GenerationPlan(recording, episodes, shard_episodes=shard_size(episodes))
+    play = partial(record, threads=1 if processes > 1 else 0)
+    noted: list[tuple[float, int]] = []
 
-    plan = GenerationPlan(
-        Recording.of(image_size=image_size),
-        episodes,
-        FIRST_SEED,
-        shard_episodes=shard_size(episodes),
-    )
-    first: list[tuple[float, int]] = []
-
-    def note_first(done: int) -> None:
-        if done and not first:
-            first.append((time.perf_counter(), done))
+    def note(done: int) -> None:
+        if done:
+            noted.append((time.perf_counter(), done))
 
     with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder) / "dataset"
         begin = time.perf_counter()
-        play = partial(record, threads=1 if processes > 1 else 0)
-        manifest = generate(
-            plan, Path(folder) / "dataset", record=play, workers=processes, progress=note_first
-        )
-        (started, done), end = first[0], time.perf_counter()
-        steady = manifest.frames * (1 - done / episodes) / (end - started)
-        return {
-            "frames_s": manifest.frames / (end - begin),
-            "startup_s": started - begin,
-            "steady_frames_s": steady,
-        }
+        manifest = generate(plan, root, record=play, workers=processes, progress=note)
+        end = time.perf_counter()
+    started, done = noted[0]
+    return {
+        "frames_s": manifest.frames / (end - begin),
+        "startup_s": started - begin,
+        "steady_frames_s": manifest.frames * (1 - done / episodes) / (end - started),
+    }
 
 
-def theirs(episodes: int, image_size: int, processes: int, *, shadows: bool) -> dict[str, float]:
+def plain(
+    episodes: int, image_size: int, processes: int, *, shadows: bool = False
+) -> dict[str, float]:
     """Record the same seeds with one plain env and one LeRobotDataset per process."""
     recipe = Recipe.of(image_size=image_size)
-    share = -(-episodes // processes)
-    seeds = [
-        list(range(k, min(k + share, FIRST_SEED + episodes)))
-        for k in range(FIRST_SEED, episodes, share)
-    ]
-    with tempfile.TemporaryDirectory() as folder:
-        with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
-            roots = [Path(folder) / str(k) for k in range(len(seeds))]
-            record = partial(_record_plainly, recipe, shadows)
-            frames, seconds = zip(*pool.map(record, roots, seeds), strict=True)
-        return {"frames_s": sum(frames) / max(seconds)}
+    seeds = list(batched(range(episodes), -(-episodes // processes)))
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        ProcessPoolExecutor(processes, get_context("spawn")) as pool,
+    ):
+        roots = [Path(folder) / str(k) for k in range(len(seeds))]
+        play = partial(_record_plainly, recipe, shadows)
+        frames, seconds = zip(*pool.map(play, roots, seeds), strict=True)
+    return {"frames_s": sum(frames) / max(seconds)}
 
 
 def _record_plainly(
-    recipe: Recipe, shadows: bool, root: Path, seeds: list[int]
+    recipe: Recipe, shadows: bool, root: Path, seeds: tuple[int, ...]
 ) -> tuple[int, float]:
     """Return frames and seconds; imports do not count, as fewer episodes have to carry them than in
     ours.
     """
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # the encoder reports on every episode
     from lerobot.datasets import lerobot_dataset  # noqa: F401
-    from support.straightforward import record
 
     begin = time.perf_counter()
-    return record(root, recipe, seeds, shadows=shadows), time.perf_counter() - begin
+    frames = straightforward.record(root, recipe, seeds, shadows=shadows)
+    return frames, time.perf_counter() - begin
+
+
+SYSTEMS = {"ours": ours, "plain": plain, "plain_shadows": partial(plain, shadows=True)}
 
 
 def main() -> None:
-    parser = benchmark_parser(__doc__, **TINY)
+    parser = benchmark_parser(__doc__)
     parser.add_argument("--episodes", type=int, default=2048)
     parser.add_argument("--image-size", type=int, default=128)
     parser.add_argument("--rounds", type=int, default=2)
@@ -120,7 +117,7 @@ def main() -> None:
         "--stage-episodes", type=int, default=96, help="episodes in which stages are measured"
     )
     parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu")
-    args = parser.parse_args()
+    args = parse_options(parser, TINY)
     if args.device == "cpu":
         os.environ["CUDA_VISIBLE_DEVICES"] = ""
     else:
@@ -150,18 +147,15 @@ def compare(args: argparse.Namespace) -> list[dict[str, float]]:
     rounds = []
     for _ in range(args.rounds):
         line = {}
-        for name in SYSTEMS:
-            system = ours if name == "ours" else partial(theirs, shadows=name == "plain_shadows")
+        for name, system in SYSTEMS.items():
             episodes = args.episodes if name == "ours" else args.plain_episodes
             result = measure_apart(system, episodes, args.image_size, args.processes)
             print(name, *(f" {key} {value:.2f}" for key, value in result.items()), flush=True)
             line |= {f"{name}_{key}": value for key, value in result.items()}
         rounds.append(line)
-    for name in SYSTEMS[1:]:
-        ratio = statistics.median(
-            line["ours_frames_s"] / line[f"{name}_frames_s"] for line in rounds
-        )
-        print(f"ours against {name}, median of {len(rounds)}: {ratio:.2f}")
+    for name in ("plain", "plain_shadows"):
+        ratios = [line["ours_frames_s"] / line[f"{name}_frames_s"] for line in rounds]
+        print(f"ours against {name}, median of {len(rounds)}: {statistics.median(ratios):.2f}")
     return rounds
 
 

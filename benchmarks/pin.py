@@ -1,6 +1,8 @@
 """Pin the benchmark: its digests, and the attempts at which its episodes' draws fit; or compare.
 
-python benchmarks/pin.py [--check] [--json FILE]
+    python benchmarks/pin.py
+    python benchmarks/pin.py --check
+    python benchmarks/pin.py --check --seeds 22 --json FILE
 
 ``--digests`` (tests/sampling/benchmark_digests.json) holds digests of the definition
 (`sampling/benchmark.py`), of the specs of every seed of all splits (of ``train`` the first 220),
@@ -12,14 +14,14 @@ the splits of fixed size. Every seed is searched from its first attempt.
 import hashlib
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from itertools import batched
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from support.options import benchmark_parser, write_numbers
+from support.options import PINNED, benchmark_parser, parse_options, write_numbers
 
 from dynahoi_lerobot.core.agent import Expert, WorldView
 from dynahoi_lerobot.core.conventions import PALM_DOF
@@ -28,10 +30,9 @@ from dynahoi_lerobot.rollout.loop import evaluate
 from dynahoi_lerobot.sampling.accepted import ENTRIES
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from dynahoi_lerobot.sampling.recipe import Recipe
-from dynahoi_lerobot.sampling.sampler import Candidate, sample_specs, search
+from dynahoi_lerobot.sampling.sampler import sample_specs, search
 from dynahoi_lerobot.world.batch import WorldBatch
 
-DIGESTS = Path(__file__).parents[1] / "tests" / "sampling" / "benchmark_digests.json"
 TRAIN_SEEDS = 220
 """How many seeds of the endless split are pinned."""
 IMAGE_EPISODES = 4
@@ -43,8 +44,6 @@ DECIMALS = 6
 differently."""
 ACROSS = 11
 """Digests in a line of the file."""
-AT_ONCE = 110
-"""Seeds whose targets are rolled ahead together."""
 TINY = {
     "digests": Path("digests.json"),
     "entries": Path("accepted.npz"),
@@ -53,7 +52,8 @@ TINY = {
 }
 
 Pinned = dict[str, Any]
-"""``version`` and ``definition``; ``specs`` and ``images`` by split and seed."""
+"""``version`` and ``definition``; digests of ``specs`` by split and seed, and of ``images`` by
+``split/seed``; ``attempts`` by split and seed, and ``entries_of``, the benchmark of theirs."""
 
 
 class Closing(Expert):
@@ -71,8 +71,8 @@ class Closing(Expert):
 
 
 def main() -> int:
-    parser = benchmark_parser(__doc__, **TINY)
-    parser.add_argument("--digests", type=Path, default=DIGESTS)
+    parser = benchmark_parser(__doc__)
+    parser.add_argument("--digests", type=Path, default=PINNED)
     parser.add_argument("--entries", type=Path, default=ENTRIES)
     parser.add_argument(
         "--check",
@@ -83,41 +83,34 @@ def main() -> int:
     parser.add_argument(
         "--with-images", type=int, default=IMAGE_EPISODES, help="episodes of each split with images"
     )
-    args = parser.parse_args()
-    pinned, attempts = pin(args.seeds, args.with_images)
-    episodes = sum(map(len, pinned["specs"].values()))
-    write_numbers(args, specs=episodes, images=len(pinned["images"]))
+    args = parse_options(parser, TINY)
+    found = pin(args.seeds, args.with_images)
+    episodes = sum(map(len, found["specs"].values()))
+    write_numbers(args, specs=episodes, images=len(found["images"]))
     if args.check:
-        wanted = read(args.digests)
-        sentences = differences(pinned, wanted)
-        sentences += attempt_differences(attempts, benchmark_id(wanted), args.entries)
+        sentences = differences(found, read(args.digests, args.entries))
         print("\n".join(sentences) or f"{args.digests} and {args.entries}: nothing differs")
         return bool(sentences)
-    args.digests.write_text(json.dumps(_in_lines(pinned), indent=1) + "\n")
-    identity = np.array(benchmark_id(pinned))
-    np.savez_compressed(args.entries, benchmark=identity, **attempts)  # type: ignore[arg-type]
-    print(f"{args.digests} and {args.entries}: {identity}, {episodes} episodes")
-    print(f"EPISODES_DIGEST in dynahoi_lerobot/sampling/benchmark.py: {digest_of(pinned)}")
+    write(found, args.digests, args.entries)
+    print(f"{args.digests} and {args.entries}: {found['entries_of']}, {episodes} episodes")
+    print(f"EPISODES_DIGEST in dynahoi_lerobot/sampling/benchmark.py: {digest_of(found)}")
     return 0
 
 
-def pin(
-    seeds: int | None = None, with_images: int = IMAGE_EPISODES
-) -> tuple[Pinned, dict[str, np.ndarray]]:
-    """Return all digests, and the accepted attempts of the splits of fixed size; of the first
-    ``seeds`` of each split only if that is given.
-    """
+def pin(seeds: int | None = None, with_images: int = IMAGE_EPISODES) -> Pinned:
+    """Return all that is pinned; of the first ``seeds`` of each split only if that is given."""
     specs = {}
     attempts = {}
     images: dict[str, str] = {}
     for split in BENCHMARK.streams:
-        accepted = searched(split, pinned_seeds(split)[:seeds])
+        accepted = search(Recipe(split=split), pinned_seeds(split)[:seeds], threads=0)
         specs[split] = {spec.seed: spec_digest(spec) for _, spec in accepted}
         if BENCHMARK.splits[split].size:
-            attempts[split] = np.array([candidate.attempts for candidate, _ in accepted], np.uint16)
+            attempts[split] = {candidate.seed: candidate.attempts for candidate, _ in accepted}
         images |= image_digests(split, with_images)
     pinned = {"version": BENCHMARK.version, "definition": definition()}
-    return pinned | {"specs": specs, "images": images}, attempts
+    pinned |= {"specs": specs, "images": images, "attempts": attempts}
+    return pinned | {"entries_of": benchmark_id(pinned)}
 
 
 def definition() -> str:
@@ -140,16 +133,6 @@ def benchmark_id(pinned: Pinned) -> str:
     return f"{pinned['version']}-{digest_of(pinned)}"
 
 
-def searched(
-    split: str, seeds: Sequence[int], *, threads: int = 0
-) -> list[tuple[Candidate, EpisodeSpec]]:
-    """Return the accepted candidate and the spec of each seed, searched from its first draw."""
-    recipe = Recipe(split=split)
-    return [
-        one for some in batched(seeds, AT_ONCE) for one in search(recipe, some, threads=threads)
-    ]
-
-
 def spec_digest(spec: EpisodeSpec) -> str:
     """Return a digest of all that a spec holds but its code."""
     return _digest(_content(spec))[:8]
@@ -165,66 +148,68 @@ def image_digests(
     recipe = Recipe.of(split=split, image_size=IMAGE_PX)
     first = IMAGE_EPISODES * BENCHMARK.streams.index(split)
     specs = sample_specs(recipe, range(first, first + count), threads=threads)
-    episodes = evaluate(
-        WorldBatch(recipe.rules, batch_size, threads), Closing(), specs, images=True
-    )
-    pixels = {
-        f"{split}/{episode.meta.seed}": episode.images["ego"][::IMAGE_STRIDE]
-        for episode in episodes
-    }
-    return {
-        name: hashlib.sha256(pixels[name].tobytes()).hexdigest()[:16] for name in sorted(pixels)
-    }
+    batch = WorldBatch(recipe.rules, batch_size, threads)
+    digests = {}
+    for episode in evaluate(batch, Closing(), specs, images=True):
+        pixels = episode.images["ego"][::IMAGE_STRIDE]
+        digest = hashlib.sha256(pixels.tobytes()).hexdigest()
+        digests[f"{split}/{episode.meta.seed}"] = digest[:16]
+    return dict(sorted(digests.items()))
 
 
-def read(path: Path = DIGESTS) -> Pinned:
-    """Return the digests of a file."""
-    pinned = json.loads(path.read_text())
+def read(digests: Path = PINNED, entries: Path = ENTRIES) -> Pinned:
+    """Return what the two files pin."""
+    pinned = json.loads(digests.read_text())
     specs = {
         split: dict(enumerate(" ".join(lines).split())) for split, lines in pinned["specs"].items()
     }
-    return pinned | {"specs": specs}
+    with np.load(entries) as stored:
+        arrays = dict(stored)
+    entries_of = str(arrays.pop("benchmark"))
+    attempts = {split: dict(enumerate(array.tolist())) for split, array in arrays.items()}
+    return pinned | {"specs": specs, "attempts": attempts, "entries_of": entries_of}
+
+
+def write(pinned: Pinned, digests: Path, entries: Path) -> None:
+    """Write the two files; the digests of specs, whose seeds count from 0, in lines."""
+    specs = {
+        split: [" ".join(line) for line in batched(by_seed.values(), ACROSS)]
+        for split, by_seed in pinned["specs"].items()
+    }
+    content = {name: pinned[name] for name in ("version", "definition")}
+    content |= {"specs": specs, "images": pinned["images"]}
+    digests.write_text(json.dumps(content, indent=1) + "\n")
+    attempts = {
+        split: np.array([*by_seed.values()], np.uint16)
+        for split, by_seed in pinned["attempts"].items()
+    }
+    identity = np.array(pinned["entries_of"])
+    np.savez_compressed(entries, benchmark=identity, **attempts)  # type: ignore[arg-type]
 
 
 def differences(found: Pinned, wanted: Pinned) -> list[str]:
-    """Return a sentence for everything in ``found`` that is pinned otherwise, or not at all."""
+    """Return a sentence for everything in ``found`` that is pinned otherwise, or not at all, and if
+    the attempts that are pinned are those of another benchmark than the digests.
+    """
     sentences = [
         f"{name} is {found[name]!r}; pinned is {wanted[name]!r}"
         for name in ("version", "definition")
         if found[name] != wanted[name]
     ]
-    for split, digests in found["specs"].items():
-        sentences += _differing(f"specs of {split}", digests, wanted["specs"].get(split, {}))
+    if wanted["entries_of"] != benchmark_id(wanted):
+        sentences.append(
+            f"attempts are pinned for {wanted['entries_of']!r}, digests for "
+            f"{benchmark_id(wanted)!r}"
+        )
+    for part in ("specs", "attempts"):
+        for split, values in found[part].items():
+            sentences += _differing(f"{part} of {split}", values, wanted[part].get(split, {}))
     return sentences + _differing("images", found["images"], wanted["images"])
 
 
-def attempt_differences(attempts: dict[str, np.ndarray], identity: str, path: Path) -> list[str]:
-    """Return a sentence for every split whose attempts a file has otherwise, and for another
-    benchmark.
-    """
-    with np.load(path) as stored:
-        name = str(stored["benchmark"])
-        sentences = [] if name == identity else [f"benchmark is {identity!r}; {path} has {name!r}"]
-        for split, rows in attempts.items():
-            pairs = (dict(enumerate(some.tolist())) for some in (rows, stored[split]))
-            sentences += _differing(f"attempts of {split}", *pairs)
-    return sentences
-
-
 def _differing(noun: str, found: Mapping[Any, Any], wanted: Mapping[Any, Any]) -> list[str]:
-    keys = [str(key) for key, digest in found.items() if wanted.get(key) != digest]
+    keys = [key for key, value in found.items() if wanted.get(key) != value]
     return [f"{len(keys)} of {len(found)} {noun} differ, the first is {keys[0]}"] if keys else []
-
-
-def _in_lines(pinned: Pinned) -> Pinned:
-    """Join the digests of specs, whose seeds count from 0, to lines."""
-    specs = {
-        split: [
-            " ".join(list(digests.values())[i : i + ACROSS]) for i in range(0, len(digests), ACROSS)
-        ]
-        for split, digests in pinned["specs"].items()
-    }
-    return pinned | {"specs": specs}
 
 
 def _content(spec: EpisodeSpec) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Play the real page in the system's Chromium, along the expert's path: S_loc, jitter and latency.
 
-    python benchmarks/play.py --episodes 20
+    python benchmarks/play.py --episodes 20 --json FILE
     python benchmarks/play.py --episodes 1 --film docs/images/play.gif
 
 The pointer is moved and keys are pressed through the DevTools protocol, so that everything between
@@ -25,7 +25,7 @@ from typing import Any
 import aiohttp
 import numpy as np
 from PIL import Image
-from support.options import benchmark_parser, write_numbers
+from support.options import benchmark_parser, parse_options, write_numbers
 
 from dynahoi_lerobot.core.conventions import CONTROL_DT, EGO_VIEW, PALM_DOF
 from dynahoi_lerobot.core.episode import Episode
@@ -54,6 +54,7 @@ FLAGS = [
     "--disable-component-update",
     "--disable-sync",
     "--remote-debugging-port=0",
+    "--window-size=1280,960",
 ]
 
 
@@ -74,26 +75,26 @@ class Tab:
             if waiting is not None:
                 waiting.set_result(answer)
             elif answer.get("method") == "Page.screencastFrame":
-                told = answer["params"]
-                self._filmed.append((told["metadata"]["timestamp"], base64.b64decode(told["data"])))
-                acknowledged = {
-                    "method": "Page.screencastFrameAck",
-                    "params": {"sessionId": told["sessionId"]},
-                }
-                await self._socket.send_str(json.dumps({"id": 0, **acknowledged}))
+                shot = answer["params"]
+                self._filmed.append((shot["metadata"]["timestamp"], base64.b64decode(shot["data"])))
+                parameters = {"sessionId": shot["sessionId"]}
+                await self._socket.send_json(
+                    {"id": 0, "method": "Page.screencastFrameAck", "params": parameters}
+                )
 
     async def call(self, method: str, **parameters: Any) -> Any:
+        """Return the result of a command of the protocol."""
         self._number += 1
-        waiting = self._answers[self._number] = asyncio.get_running_loop().create_future()
-        await self._socket.send_str(
-            json.dumps({"id": self._number, "method": method, "params": parameters})
-        )
+        waiting = asyncio.get_running_loop().create_future()
+        self._answers[self._number] = waiting
+        message = {"id": self._number, "method": method, "params": parameters}
+        await self._socket.send_json(message)
         return (await waiting)["result"]
 
     async def value(self, expression: str) -> Any:
-        return (await self.call("Runtime.evaluate", expression=expression, returnByValue=True))[
-            "result"
-        ].get("value")
+        """Return the value of an expression of JavaScript."""
+        found = await self.call("Runtime.evaluate", expression=expression, returnByValue=True)
+        return found["result"].get("value")
 
     async def until(self, expression: str, seconds: float = 60.0) -> None:
         async with asyncio.timeout(seconds):
@@ -115,19 +116,15 @@ class Tab:
         await episode
         await asyncio.sleep(RESULT_S)
         await self.call("Page.stopScreencast")
-        times_s = np.array([time_s for time_s, _ in self._filmed])
-        shown = (
-            np.searchsorted(times_s, np.arange(times_s[0], times_s[-1], 1 / FILM_FPS), side="right")
-            - 1
-        )
-        frames = [
-            np.asarray(Image.open(io.BytesIO(self._filmed[i][1])).convert("RGB")) for i in shown
-        ]
-        write_gif(
-            path,
-            np.stack([frame for frame in frames if frame.shape == frames[-1].shape]),
-            fps=FILM_FPS,
-        )
+        times_s = [time_s for time_s, _ in self._filmed]
+        ticks_s = np.arange(times_s[0], times_s[-1], 1 / FILM_FPS)
+        frames = []
+        for i in np.searchsorted(times_s, ticks_s, side="right") - 1:
+            image = Image.open(io.BytesIO(self._filmed[i][1]))
+            frames.append(np.asarray(image.convert("RGB")))
+        # the first may be from before the window got its size
+        same = [frame for frame in frames if frame.shape == frames[-1].shape]
+        write_gif(path, np.stack(same), fps=FILM_FPS)
 
 
 @asynccontextmanager
@@ -139,8 +136,8 @@ async def chromium(address: str):
             "there is no chromium on this machine; install Debian's package `chromium`"
         )
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        options = [*FLAGS, f"--user-data-dir={profile}", "--window-size=1280,960", address]
-        process = subprocess.Popen([program, *options], stderr=subprocess.DEVNULL)
+        command = [program, *FLAGS, f"--user-data-dir={profile}", address]
+        process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
         try:
             port_file = Path(profile) / "DevToolsActivePort"
             async with asyncio.timeout(60):
@@ -148,13 +145,11 @@ async def chromium(address: str):
                     await asyncio.sleep(0.1)
             port = port_file.read_text().split()[0]
             async with aiohttp.ClientSession() as session:
-                pages = await (await session.get(f"http://127.0.0.1:{port}/json")).json(
-                    content_type=None
-                )
-                [page] = [page for page in pages if page["type"] == "page"]
-                async with session.ws_connect(
-                    page["webSocketDebuggerUrl"], max_msg_size=0
-                ) as socket:
+                async with session.get(f"http://127.0.0.1:{port}/json") as answer:
+                    targets = await answer.json(content_type=None)
+                [page] = [target for target in targets if target["type"] == "page"]
+                url = page["webSocketDebuggerUrl"]
+                async with session.ws_connect(url, max_msg_size=0) as socket:
                     yield Tab(socket)
         finally:
             process.kill()
@@ -163,11 +158,7 @@ async def chromium(address: str):
 
 async def follow_expert(tab: Tab, world: LiveWorld) -> None:
     """Move pointer and keys along the expert's path until the episode is over."""
-    corners = (
-        "(b => [b.left, b.top, b.width, "
-        "b.height])(document.getElementById('view').getBoundingClientRect())"
-    )
-    box = await tab.value(corners)
+    box = await tab.value("document.getElementById('view').getBoundingClientRect().toJSON()")
     hand = world.batch.scene.hand
     camera = Pinhole.of(world.batch.scene.model, EGO_VIEW)
     held: set[str] = set()
@@ -175,12 +166,18 @@ async def follow_expert(tab: Tab, world: LiveWorld) -> None:
         goal = world.expert_goal()
         right, up, back = camera.axes.T @ (goal[:PALM_DOF] - world.batch.state[0, :PALM_DOF])
         x, y = np.clip(np.array([right, up]) / camera.half_view / POINTED_M, -1, 1)
-        place = {"x": box[0] + (x + 1) / 2 * box[2], "y": box[1] + (1 - y) / 2 * box[3]}
+        place = {
+            "x": box["left"] + (x + 1) / 2 * box["width"],
+            "y": box["top"] + (1 - y) / 2 * box["height"],
+        }
         await tab.call("Input.dispatchMouseEvent", type="mouseMoved", **place)
-        keys = {"KeyW"} if back < -DEADBAND_M else {"KeyS"} if back > DEADBAND_M else set()
-        keys |= (
-            {"Space"} if np.abs(goal[PALM_DOF:] - hand.open_joints()).max() > CLOSED_RAD else set()
-        )
+        keys = set()
+        if back < -DEADBAND_M:
+            keys.add("KeyW")
+        if back > DEADBAND_M:
+            keys.add("KeyS")
+        if np.abs(goal[PALM_DOF:] - hand.open_joints()).max() > CLOSED_RAD:
+            keys.add("Space")
         await tab.press(keys, held)
         held = keys
         await asyncio.sleep(CONTROL_DT / 2)
@@ -190,9 +187,8 @@ async def follow_expert(tab: Tab, world: LiveWorld) -> None:
 async def played(args: argparse.Namespace) -> dict[str, Any]:
     """Play the episodes; return the figures."""
     recipe = Recipe.of(split="val", image_size=192)
-    world, practice = (
-        LiveWorld(rules, record_images=True) for rules in (recipe, replace(recipe, split="train"))
-    )
+    world = LiveWorld(recipe, record_images=True)
+    practice = LiveWorld(replace(recipe, split="train"), record_images=True)
     episodes: list[Episode] = []
     game = Game(
         world,
@@ -218,18 +214,21 @@ async def played(args: argparse.Namespace) -> dict[str, Any]:
             await tab.until("playing && frame")
             await tab.film(args.film, follow_expert(tab, practice))
     server.cancel()
-    rates = {
-        name: float(np.mean([measure(episode)[name] or 0 for episode in episodes]))
-        for name in ("S_loc", "S_joint")
+    measured = [measure(episode) for episode in episodes]
+    return {
+        "episodes": len(episodes),
+        "S_loc": float(np.mean([metrics["S_loc"] or 0 for metrics in measured])),
+        "S_joint": float(np.mean([metrics["S_joint"] or 0 for metrics in measured])),
+        **figures,
+        "load": os.getloadavg()[0],
     }
-    return {"episodes": len(episodes), **rates, **figures, "load": os.getloadavg()[0]}
 
 
 def main() -> None:
-    parser = benchmark_parser(__doc__, episodes=1)
+    parser = benchmark_parser(__doc__)
     parser.add_argument("--episodes", type=int, default=20)
     parser.add_argument("--film", type=Path, help="GIF of a further, practised episode")
-    args = parser.parse_args()
+    args = parse_options(parser, {"episodes": 1})
     figures = asyncio.run(played(args))
     print(json.dumps(figures, indent=2))
     write_numbers(args, **figures)

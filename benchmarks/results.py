@@ -1,16 +1,16 @@
-"""Rebuild a table of learned policies in docs/results.md: generate, train and evaluate every row,
-and print it.
+"""Rebuild a table of learned policies in docs/results.md: generate, train and evaluate every row.
 
-python benchmarks/results.py [--rows benchmarks/results.yaml] [--only "ObAct" ...] [--root
-outputs/results]
-    [--split test] [--episodes N] [--salt SALT] [--workers 2] [--dry-run] [--json
-    docs/figures/policies.json] [--tiny]
+    python benchmarks/results.py
+    python benchmarks/results.py --only ObAct "ACT, true state" --json docs/figures/policies.json
+    python benchmarks/results.py --rows benchmarks/ablations.yaml --split val --salt SALT
+    python benchmarks/results.py --dry-run
 
 The rows name the recipes and the options that they change; benchmarks/ablations.yaml holds the
 ablations. What is already in the root is not done again, so the same command resumes a run that was
-stopped. ``--json`` replaces the rows that were run in that file.
+stopped. The table is printed; ``--json`` replaces the rows that were run in that file.
 """
 
+import argparse
 import json
 import os
 import re
@@ -24,30 +24,31 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from support.options import benchmark_parser, pinned_benchmark, provenance, write_numbers
+from support.options import (
+    REPOSITORY,
+    benchmark_parser,
+    parse_options,
+    pinned_benchmark,
+    provenance,
+    write_numbers,
+)
 
 from dynahoi_lerobot.evaluate.checkpoint_files import folder_weights
 from dynahoi_lerobot.evaluate.compare import compare
 from dynahoi_lerobot.evaluate.results import WEIGHTS, Results, read_results
-from dynahoi_lerobot.evaluate.table import MAIN_COLUMNS, metrics_table
+from dynahoi_lerobot.evaluate.table import MAIN_COLUMNS, Cell, Table, metrics_table
 
-REPOSITORY = Path(__file__).parents[1]
 ROWS = Path(__file__).with_suffix(".yaml")
 ENDS = {"missed": ("missed",), "touched": ("touched",), "gripped": ("enclosed", "slipped")}
 """How episodes of the contact track fail, by their stages."""
-SMALLEST_TRAINING = "--steps=2 --batch_size=2 --save_freq=2 --num_workers=0 --policy.device=cpu"
 TINY = {
     "only": ["ACT, true state"],
     "split": "val",
     "episodes": 2,
     "seeds": 1,
     "generate": 4,
-    "train": SMALLEST_TRAINING,
+    "train": "--steps=2 --batch_size=2 --save_freq=2 --num_workers=0 --policy.device=cpu",
 }
-
-
-TRAINING = "training"
-"""Folder of the trainings."""
 
 
 @dataclass(frozen=True)
@@ -75,91 +76,27 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Plan:
-    """Where everything lies, and the commands that put it there.
+class Run:
+    """A row with one training seed.
 
     Attributes:
-        root: folder of datasets, trainings and results.
-        datasets: by name, the episodes of each, further options of ``dynahoi generate``, and
-            whether its images are encoded.
-        workers: processes of that.
-        split: that is evaluated.
-        generate: episodes of a dataset instead of its own number; 0 for that.
-        train: options added to every training.
-        episodes: of the evaluation; 0 for all.
-        salt: of a stream of which as many episodes are evaluated, too; empty for none.
+        name: of the row, with the seed.
+        commands: in their order, by the folder that each fills.
+        training: one of these folders.
+        results: those of the evaluations.
+        reference: name of the run from which the difference is told.
     """
 
-    root: Path
-    datasets: dict[str, dict[str, Any]]
-    workers: int
-    split: str
-    generate: int
-    train: str
-    episodes: int
-    salt: str
-
-    def commands(self, row: Row, seed: int) -> dict[Path, list[str]]:
-        """Return the commands of a row in their order, each with the folder that it fills: data,
-        training, results.
-        """
-        run = f"{re.sub('[^a-z0-9]+', '_', row.name.lower()).strip('_')}-{seed}"
-        data = self.root / "data" / row.dataset
-        training = self.root / TRAINING / run
-        dataset = self.datasets[row.dataset]
-        limit = ["--episodes", str(self.episodes)] if self.episodes else []
-        options = shlex.split(f"{row.train} {self.train}")
-        evaluate = [
-            "dynahoi",
-            "evaluate",
-            "--policy",
-            str(training / "checkpoints/last/pretrained_model"),
-            "--split",
-            self.split,
-            *limit,
-            *shlex.split(row.evaluate),
-        ]
-        results = self.root / self.split / run
-        salted = self.root / f"{self.split}_salted" / run
-        encoded = dataset.get("encode", False)
-        recorded = data.with_name(f"{data.name}_images") if encoded else data
-        generate = [
-            "dynahoi",
-            "generate",
-            *shlex.split(dataset["options"]),
-            "--workers",
-            str(self.workers),
-            "--episodes",
-            str(self.generate or dataset["episodes"]),
-            "--root",
-            str(recorded),
-        ]
-        encode = {data: ["dynahoi", "encode", str(recorded), str(data)]} if encoded else {}
-        made = {recorded: generate} | encode
-        return (
-            made
-            | {
-                training: [
-                    "lerobot-train",
-                    f"--config_path={row.recipe}",
-                    f"--dataset.root={data}",
-                    f"--output_dir={training}",
-                    f"--seed={seed}",
-                    *options,
-                ],
-                results: [*evaluate, "--out", str(results)],
-            }
-            | (
-                {salted: [*evaluate, "--out", str(salted), "--salt", self.salt]}
-                if self.salt
-                else {}
-            )
-        )
+    name: str
+    commands: dict[Path, list[str]]
+    training: Path
+    results: list[Path]
+    reference: str
 
 
 def main() -> None:
     """Do what is missing of each row, and print the table."""
-    parser = benchmark_parser(__doc__, **TINY)
+    parser = benchmark_parser(__doc__)
     parser.add_argument("--rows", type=Path, default=ROWS, help="YAML file of datasets and rows")
     parser.add_argument("--only", nargs="+", help="names of rows; all by default")
     parser.add_argument("--root", type=Path, default=Path("outputs/results"))
@@ -185,47 +122,95 @@ def main() -> None:
     parser.add_argument("--train", default="", help="options added to every training")
     parser.add_argument("--workers", type=int, default=2, help="processes that generate")
     parser.add_argument("--dry-run", action="store_true", help="print the commands and stop")
-    args = parser.parse_args()
+    args = parse_options(parser, TINY)
     table = yaml.safe_load(args.rows.read_text())
-    rows = [Row(**row) for row in table["rows"]]
-    if unknown := set(args.only or []) - {row.name for row in rows}:
-        parser.error(
-            f"--only has {', '.join(sorted(unknown))}, but the rows are "
-            f"{', '.join(row.name for row in rows)}"
-        )
-    options = {
-        name: getattr(args, name)
-        for name in ("workers", "split", "generate", "train", "episodes", "salt")
-    }
-    plan = Plan(args.root.resolve(), table["datasets"], **options)
-    runs: dict[str, Results] = {}
-    minutes = {}
-    against = {}
-    for row in rows if args.only is None else [row for row in rows if row.name in args.only]:
-        for seed in range(args.seeds or row.seeds):
-            commands = plan.commands(row, seed)
-            if args.dry_run:
-                print(*map(shlex.join, commands.values()), sep="\n")
-                continue
-            for folder, command in commands.items():
-                if not done(folder).is_file():
-                    do(folder, command)
-            (training,) = (folder for folder in commands if folder.parent.name == TRAINING)
-            results = [*commands][[*commands].index(training) + 1 :]
-            runs[f"{row.name}, seed {seed}"] = pooled(results)
-            minutes[f"{row.name}, seed {seed}"] = json.loads(done(training).read_text())[
-                "processor_minutes"
-            ]
-            against[f"{row.name}, seed {seed}"] = runs.get(f"{row.against}, seed 0")
+    rows = {row["name"]: Row(**row) for row in table["rows"]}
+    unknown = set(args.only or []) - set(rows)
+    if unknown:
+        parser.error(f"--only has {', '.join(sorted(unknown))}, but the rows are {', '.join(rows)}")
+    results: dict[str, Results] = {}
+    minutes: dict[str, float] = {}
+    told: dict[str, Any] = {}
+    for run in planned(rows, table["datasets"], args):
+        if args.dry_run:
+            print(*map(shlex.join, run.commands.values()), sep="\n")
+            continue
+        for folder, command in run.commands.items():
+            if not done(folder).is_file():
+                do(folder, command)
+        spent = json.loads(done(run.training).read_text())["processor_minutes"]
+        results[run.name] = pooled(run.results)
+        minutes[run.name] = spent
+        told[run.name] = figures(results[run.name], spent, results.get(run.reference))
     if not args.dry_run:
-        print(as_markdown(runs, minutes))
-        known = (
-            json.loads(args.json.read_text())["runs"] if args.json and args.json.exists() else {}
-        )
-        told = {
-            name: figures(results, minutes[name], against[name]) for name, results in runs.items()
-        }
+        print(printed(results, minutes).as_text())
+        known = {}
+        if args.json and args.json.exists():
+            known = json.loads(args.json.read_text())["runs"]
         write_numbers(args, runs=known | told)
+
+
+def planned(
+    rows: dict[str, Row], datasets: dict[str, dict[str, Any]], args: argparse.Namespace
+) -> list[Run]:
+    """Return the runs of the chosen rows, in the order of the file.
+
+    Args:
+        rows: all of them, by name.
+        datasets: by name, the ``episodes`` of each, further ``options`` of ``dynahoi generate``,
+            and ``encode`` if its images are encoded.
+        args: the options of this program.
+    """
+    runs = []
+    for row in rows.values():
+        if args.only is None or row.name in args.only:
+            for seed in range(args.seeds or row.seeds):
+                runs.append(planned_run(row, seed, datasets[row.dataset], args))
+    return runs
+
+
+def planned_run(row: Row, seed: int, dataset: dict[str, Any], args: argparse.Namespace) -> Run:
+    """Return the commands of a row: dataset, training, evaluations."""
+    root = args.root.resolve()
+    slug = f"{re.sub('[^a-z0-9]+', '_', row.name.lower()).strip('_')}-{seed}"
+    data = root / "data" / row.dataset
+    recorded = data.with_name(f"{row.dataset}_images") if dataset.get("encode") else data
+    training = root / "training" / slug
+    results = root / args.split / slug
+    commands = {
+        recorded: [
+            *("dynahoi", "generate", *shlex.split(dataset["options"])),
+            *("--workers", str(args.workers)),
+            *("--episodes", str(args.generate or dataset["episodes"])),
+            *("--root", str(recorded)),
+        ]
+    }
+    if recorded != data:
+        commands[data] = ["dynahoi", "encode", str(recorded), str(data)]
+    commands[training] = [
+        "lerobot-train",
+        f"--config_path={row.recipe}",
+        f"--dataset.root={data}",
+        f"--output_dir={training}",
+        f"--seed={seed}",
+        *shlex.split(f"{row.train} {args.train}"),
+    ]
+    policy = training / "checkpoints/last/pretrained_model"
+    evaluate = ["dynahoi", "evaluate", "--policy", str(policy), "--split", args.split]
+    if args.episodes:
+        evaluate += ["--episodes", str(args.episodes)]
+    evaluate += shlex.split(row.evaluate)
+    evaluations = {results: [*evaluate, "--out", str(results)]}
+    if args.salt:
+        salted = root / f"{args.split}_salted" / slug
+        evaluations[salted] = [*evaluate, "--out", str(salted), "--salt", args.salt]
+    return Run(
+        f"{row.name}, seed {seed}",
+        commands | evaluations,
+        training,
+        list(evaluations),
+        f"{row.against}, seed 0",
+    )
 
 
 def pooled(folders: list[Path]) -> Results:
@@ -238,38 +223,36 @@ def pooled(folders: list[Path]) -> Results:
     return first
 
 
-def figures(results: Results, minutes: float, reference: Results | None = None) -> dict[str, Any]:
+def figures(results: Results, minutes: float, reference: Results | None) -> dict[str, Any]:
     """Return what docs/figures tells of results; ``checkpoint`` is the one that ships with their
     weights.
 
     With a reference's results also how much higher S_loc is than theirs, paired by episode.
     """
     weights = results.info.extra[WEIGHTS]
-    shipped = [
-        path.name
-        for path in (REPOSITORY / "checkpoints").iterdir()
-        if folder_weights(path) == weights
-    ]
-    told = {"checkpoint": shipped[0]} if shipped else {}
-    by_category = {
-        name: asdict(summary["S_loc"]) for name, summary in results.by("category").items()
-    }
-    metrics = {name: asdict(estimate) for name, estimate in results.summary.items()}
-    stages = Counter(row["stage"] for row in results.rows)
-    ends = {
-        name: sum(map(stages.__getitem__, parts)) / stages.total() for name, parts in ENDS.items()
-    }
-    metrics |= {name: {"value": share, "unit": "fraction"} for name, share in ends.items()}
-    difference = compare(results, reference, "S_loc") if reference else None
-    paired = {"paired": asdict(difference)} if difference else {}
-    ran = provenance() | {
+    told: dict[str, Any] = {}
+    for path in (REPOSITORY / "checkpoints").iterdir():
+        if folder_weights(path) == weights:
+            told["checkpoint"] = path.name
+    told |= provenance()
+    told |= {
         "command": results.info.command,
         "benchmark": pinned_benchmark(),
         WEIGHTS: weights,
+        "minutes": minutes,
+        "metrics": {name: asdict(estimate) for name, estimate in results.summary.items()},
+        "by_category": {
+            name: asdict(summary["S_loc"]) for name, summary in results.by("category").items()
+        },
     }
-    return (
-        told | ran | {"minutes": minutes, "metrics": metrics, "by_category": by_category} | paired
-    )
+    stages = Counter(row["stage"] for row in results.rows)
+    for name, parts in ENDS.items():
+        share = sum(stages[part] for part in parts) / stages.total()
+        told["metrics"][name] = {"value": share, "unit": "fraction"}
+    difference = compare(results, reference, "S_loc") if reference else None
+    if difference:
+        told["paired"] = asdict(difference)
+    return told
 
 
 def done(folder: Path) -> Path:
@@ -292,15 +275,14 @@ def do(folder: Path, command: list[str]) -> None:
     done(folder).write_text(json.dumps({"processor_minutes": round(spent_s / 60, 1)}) + "\n")
 
 
-def as_markdown(runs: dict[str, Results], minutes: dict[str, float]) -> str:
+def printed(results: dict[str, Results], minutes: dict[str, float]) -> Table:
     """Return the table of results and minutes of training, both by the name of a run."""
-    table = metrics_table(list(runs), list(runs.values()), MAIN_COLUMNS)
+    table = metrics_table(list(results), list(results.values()), MAIN_COLUMNS)
     rows = [
-        (*(f"{cell.text} {cell.detail}".strip() for cell in row), f"{minutes[row[0].text]:.0f}")
-        for row in table.rows
+        (*row, Cell(f"{spent:.0f}", key=spent))
+        for row, spent in zip(table.rows, minutes.values(), strict=True)
     ]
-    lines = [(*table.head, "min"), ("---",) * (len(table.head) + 1), *rows]
-    return "\n".join([table.caption, "", *(f"| {' | '.join(line)} |" for line in lines)])
+    return Table(table.caption, (*table.head, "min"), tuple(rows))
 
 
 if __name__ == "__main__":

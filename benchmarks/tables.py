@@ -1,5 +1,7 @@
-"""Write the measured figures of README and docs from docs/figures: python benchmarks/tables.py
-[--stale SENTENCE]
+"""Write the measured figures of README and docs from docs/figures.
+
+    python benchmarks/tables.py
+    python benchmarks/tables.py --stale SENTENCE
 
 Benchmarks leave a JSON file there (`--json docs/figures/NAME.json`), with the command, commit,
 processor and, for scores, the pinned benchmark and the weights. A page shows the block NAME of
@@ -12,17 +14,16 @@ import argparse
 import hashlib
 import json
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from support.options import pinned_benchmark
+from support.options import REPOSITORY, pinned_benchmark
 
-ROOT = Path(__file__).parents[1]
-FIGURES = ROOT / "docs" / "figures"
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+FIGURES = REPOSITORY / "docs" / "figures"
+PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
 BLOCK = re.compile(r"(<!-- figures: (\w+) -->\n).*?(\n<!-- end of figures -->)", re.DOTALL)
 NOTE = re.compile("\0(.*?)\0")
 PROVENANCE = {"command", "commit", "processor"}
@@ -40,14 +41,23 @@ class Figure:
     high: float | None = None
     note: str = ""
 
-    def brief(self, decimals: int = 1) -> str:
-        """Return the value with so many decimals."""
-        return f"{self.value:,.{decimals}f}" + (f"\0{self.note}\0" if self.note else "")
 
-    def show(self, decimals: int = 1) -> str:
-        """Return the value with its interval, for instance ``84.1 [81.7, 86.2]``."""
-        ends = "" if self.low is None else f" [{self.low:.{decimals}f}, {self.high:.{decimals}f}]"
-        return f"{self.value:,.{decimals}f}{ends}" + (f"\0{self.note}\0" if self.note else "")
+def brief(figure: Figure | None, decimals: int = 1) -> str:
+    """Return the value with so many decimals; nothing for a metric that does not apply."""
+    return "" if figure is None else f"{figure.value:,.{decimals}f}{_mark(figure)}"
+
+
+def show(figure: Figure | None, decimals: int = 1) -> str:
+    """Return what ``brief`` does, with the interval, for instance ``84.1 [81.7, 86.2]``."""
+    if figure is None or figure.low is None:
+        return brief(figure, decimals)
+    ends = f"[{figure.low:.{decimals}f}, {figure.high:.{decimals}f}]"
+    return f"{figure.value:,.{decimals}f} {ends}{_mark(figure)}"
+
+
+def _mark(figure: Figure) -> str:
+    """Return the footnote between characters that no page has; ``rendered`` puts a sign there."""
+    return f"\0{figure.note}\0" if figure.note else ""
 
 
 def figures(node: Any, note: str = "") -> Any:
@@ -63,13 +73,11 @@ def figures(node: Any, note: str = "") -> Any:
     note = node.get("stale", note)
     if "value" not in node:
         return {key: figures(entry, note) for key, entry in node.items() if key != "stale"}
+    if node["value"] is None:  # no episode meets the metric's condition
+        return None
     scale = 100 if node.get("unit") == "fraction" else 1
-    numbers = {
-        name: scale * node[name] for name in ("value", "low", "high") if node.get(name) is not None
-    }
-    return (
-        Figure(**numbers, note=note) if numbers else None
-    )  # no episode meets a metric's condition
+    ends = {name: scale * node[name] for name in ("low", "high") if node.get(name) is not None}
+    return Figure(scale * node["value"], **ends, note=note)
 
 
 def outdated(node: Any) -> Iterator[dict[str, Any]]:
@@ -77,7 +85,7 @@ def outdated(node: Any) -> Iterator[dict[str, Any]]:
     if not isinstance(node, dict) or "stale" in node:
         return
     weights = node.get("weights", {}) if "checkpoint" in node else {}
-    folder = ROOT / "checkpoints" / node.get("checkpoint", "")
+    folder = REPOSITORY / "checkpoints" / node.get("checkpoint", "")
     there = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in weights}
     if node.get("benchmark", pinned_benchmark()) != pinned_benchmark() or there != weights:
         yield node
@@ -101,7 +109,7 @@ def rendered(page: str, folder: Path = FIGURES) -> str:
     jinja = Environment(
         loader=FileSystemLoader(folder), undefined=StrictUndefined, trim_blocks=True
     )
-    jinja.filters |= {"brief": _shown(Figure.brief), "show": _shown(Figure.show)}
+    jinja.filters |= {"brief": brief, "show": show}
     template = jinja.get_template("tables.jinja")
     known = {path.stem: figures(json.loads(path.read_text())) for path in folder.glob("*.json")}
 
@@ -115,11 +123,6 @@ def rendered(page: str, folder: Path = FIGURES) -> str:
     return BLOCK.sub(block, page)
 
 
-def _shown(write: Callable[..., str]) -> Callable[..., str]:
-    """Return a filter that writes a figure, and nothing for a metric that does not apply."""
-    return lambda figure, *options: "" if figure is None else write(figure, *options)
-
-
 def main() -> None:
     """Write all pages."""
     parser = argparse.ArgumentParser(
@@ -129,14 +132,20 @@ def main() -> None:
         "--stale", metavar="SENTENCE", help="footnote of all outdated figures that have none"
     )
     args = parser.parse_args()
-    for path in sorted(FIGURES.glob("*.json")) if args.stale else ():
-        content = json.loads(path.read_text())
-        for part in list(outdated(content)):
-            part["stale"] = args.stale
-            print(f"{path.name}: {part['command']} is marked as stale")
-        path.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n")
+    if args.stale:
+        mark_stale(args.stale)
     for path in PAGES:
         path.write_text(rendered(path.read_text()))
+
+
+def mark_stale(sentence: str) -> None:
+    """Give a footnote to all outdated figures that have none, and print which they are."""
+    for path in sorted(FIGURES.glob("*.json")):
+        content = json.loads(path.read_text())
+        for part in list(outdated(content)):
+            part["stale"] = sentence
+            print(f"{path.name}: {part['command']} is marked as stale")
+        path.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n")
 
 
 if __name__ == "__main__":

@@ -1,31 +1,25 @@
-"""Can the benchmark be solved without predicting? Baselines that do not, in the simulator, beside
-the expert.
+"""Can the benchmark be solved without predicting? Baselines that do not, beside the expert.
 
-python benchmarks/validity.py [--episodes 220] [--control standard late] [--hand opposed] [--json
-FILE] python benchmarks/validity.py --episodes 1000 --control standard late unlimited --json
-docs/figures/baselines.json python benchmarks/validity.py --search 1760 [--search-class unlimited]
-[--homes 8] [--save FILE]
+    python benchmarks/validity.py
+    python benchmarks/validity.py --episodes 1000 --control standard late unlimited --json FILE
+    python benchmarks/validity.py --hand opposed --baselines pursuit intercept
+    python benchmarks/validity.py --search 1760 --search-class unlimited --save FILE
+    python benchmarks/validity.py --search 1760 --homes 8 --save FILE
 
-Brackets are Wilson's 95 % intervals. --search looks for a better fixed path on that many episodes
-of train and prints what it would score on as many episodes that it has not seen and on the split.
---homes K looks for K paths instead, one for each cluster of homes. --save writes what was found, in
-the format of experts/blind_path.csv or nearest_home.csv.
+They play in the simulator. Brackets are Wilson's 95 % intervals. --search looks for a better fixed
+path on that many episodes of train and prints what it would score on as many episodes that it has
+not seen and on the split. --homes K looks for K paths instead, one for each cluster of homes.
+--save writes what was found, in the format of experts/blind_path.csv or nearest_home.csv.
 """
 
 import argparse
+from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from support.fixed_paths import (
-    cluster,
-    hits_by_cluster,
-    homes_of,
-    nearest,
-    relative_paths,
-    search_path,
-)
-from support.options import benchmark_parser, pinned_benchmark, write_numbers
+from support.fixed_paths import met_by_nearest, search_paths
+from support.options import benchmark_parser, parse_options, pinned_benchmark, write_numbers
 
 from dynahoi_lerobot.core.protocols import CONTROL_CLASSES
 from dynahoi_lerobot.core.spec import EpisodeSpec
@@ -50,14 +44,14 @@ BASELINES = (
     "constant_acceleration",
     "intercept",
 )
+TINY = {"episodes": 22, "control": ["late"], "baselines": ["hold"], "search": 4}
 WORLDS = 64
-FRAMES, WIDTH, FINENESS = 80, 64, 2
-"""Of the paths that are searched: length, and see ``search_path``."""
+LABELS = (*CATEGORIES, *OBJECTS.names())
 Rate = dict[str, float]
 
 
 def main() -> None:
-    parser = benchmark_parser(__doc__, episodes=22, control=["late"], baselines=["hold"], search=4)
+    parser = benchmark_parser(__doc__)
     parser.add_argument("--episodes", type=int, default=220)
     parser.add_argument("--split", default="test")
     parser.add_argument(
@@ -83,7 +77,7 @@ def main() -> None:
         "--homes", type=int, default=1, help="search a path for each of so many clusters of homes"
     )
     parser.add_argument("--save", type=Path, help="file for what was found")
-    args = parser.parse_args()
+    args = parse_options(parser, TINY)
     specs = sample_specs(Recipe(split=args.split), range(args.episodes), threads=0)
     found = search(args, specs) if args.search else {}
     tables = {
@@ -100,35 +94,37 @@ def rate(outcomes: Sequence[bool]) -> Rate:
     return {"value": 100 * share, "low": 100 * low, "high": 100 * high, "n": len(outcomes)}
 
 
+def shown(row: Rate) -> str:
+    """Return a rate as people read it."""
+    return "{value:5.1f} [{low:5.1f}, {high:5.1f}]".format(**row)
+
+
 def play(control: str, name: str, specs: Sequence[EpisodeSpec], hand: str) -> dict[str, Rate]:
     """Play one baseline in one control class; print and return its rates, also of each category and
     object.
     """
     batch = WorldBatch(Rules(control_class=control, hand=hand), min(WORLDS, len(specs)))
     episodes = list(evaluate(batch, EXPERTS[name](), specs))
+    localized = [episode.first_localized is not None for episode in episodes]
     rates = {
-        "S_loc": rate([e.first_localized is not None for e in episodes]),
-        "S_intercept": rate([METRICS["S_intercept"](e) == 1.0 for e in episodes]),
-        "S_joint": rate([e.success for e in episodes]),
+        "S_loc": rate(localized),
+        "S_intercept": rate([METRICS["S_intercept"](episode) == 1.0 for episode in episodes]),
+        "S_joint": rate([episode.success for episode in episodes]),
     }
-    for label in (*CATEGORIES, *OBJECTS.names()):
-        localized = [
-            e.first_localized is not None
-            for e in episodes
-            if label in (e.meta.category, e.meta.object)
-        ]
-        rates |= {label: rate(localized)} if localized else {}
+    by_label = defaultdict(list)
+    for episode, outcome in zip(episodes, localized, strict=True):
+        by_label[episode.meta.category].append(outcome)
+        by_label[episode.meta.object].append(outcome)
+    rates |= {label: rate(by_label[label]) for label in LABELS if label in by_label}
     print(f"\n{control}, {name}")
     for label, row in rates.items():
-        print(f"  {label:18s} {row['value']:5.1f} [{row['low']:5.1f}, {row['high']:5.1f}]")
+        print(f"  {label:18s} {shown(row)}")
     return rates
 
 
 def search(args: argparse.Namespace, specs: Sequence[EpisodeSpec]) -> dict[str, Rate]:
     """Search fixed paths; print and return how many episodes they meet of those searched, of
     others, and of the split.
-
-    Targets and palm are taken to move straight between frames; nothing is simulated.
     """
     train = sample_specs(Recipe(split="train"), range(2 * args.search), threads=0)
     parts = {
@@ -137,36 +133,16 @@ def search(args: argparse.Namespace, specs: Sequence[EpisodeSpec]) -> dict[str, 
         args.split: specs,
     }
     speed_m_s = CONTROL_CLASSES[args.search_class].palm_speed_m_s
-    table = search_paths(parts["searched"], args.homes, speed_m_s)
-    rates = {}
-    for label, part in parts.items():
-        met = hits_by_cluster(homes_of(part), relative_paths(part, FRAMES), table)
-        rates[label] = rate(met.tolist())
-        print(
-            "fixed path on {:12s} {value:5.1f} [{low:5.1f}, {high:5.1f}]".format(
-                label, **rates[label]
-            )
-        )
+    centers, paths = search_paths(parts["searched"], args.homes, speed_m_s)
+    rates = {
+        label: rate(met_by_nearest(part, centers, paths).tolist()) for label, part in parts.items()
+    }
+    for label, row in rates.items():
+        print(f"fixed path on {label:12s} {shown(row)}")
     if args.save:
-        centers, paths = table
         rows = paths[0] if args.homes == 1 else np.hstack([centers, paths.reshape(len(paths), -1)])
         np.savetxt(args.save, rows, fmt="%.4f", delimiter=",")
     return rates
-
-
-def search_paths(
-    specs: Sequence[EpisodeSpec], clusters: int, speed_m_s: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return (C, 3) the centers of clusters of homes [m], world, and (C, K, 3) the path found for
-    each.
-    """
-    targets = relative_paths(specs, FRAMES)
-    homes_w = homes_of(specs)
-    centers = cluster(homes_w, clusters)
-    labels = nearest(homes_w, centers)
-    return centers, np.stack(
-        [search_path(targets[labels == k], speed_m_s, WIDTH, FINENESS) for k in range(clusters)]
-    )
 
 
 if __name__ == "__main__":

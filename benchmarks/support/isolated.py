@@ -1,17 +1,15 @@
-"""Measure in a process of its own: nothing warmed up by, and no memory left from, what was measured
-before.
+"""Measure in a process of its own, in which nothing has been warmed up and no memory is left from
+what was measured before, and add up the time that its parts take.
 """
 
 import multiprocessing
-import os
-import resource
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from typing import Any
 
-os.environ.setdefault(
-    "MUJOCO_GL", "egl"
-)  # the fastest that needs no display; MuJoCo reads it when first imported
+from support.measures import largest_process_mb
 
 
 def measure_apart(task: Callable[..., dict[str, float]], *args: Any) -> dict[str, float]:
@@ -22,8 +20,12 @@ def measure_apart(task: Callable[..., dict[str, float]], *args: Any) -> dict[str
 
 def _measure(task: Callable[..., dict[str, float]], args: tuple[Any, ...]) -> dict[str, float]:
     result = task(*args)
-    used = (
-        resource.getrusage(who).ru_maxrss
-        for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
-    )
-    return result | {"peak_mb": max(used) / 1024}
+    return result | {"peak_mb": largest_process_mb()}
+
+
+@contextmanager
+def added(seconds: dict[str, float], name: str) -> Iterator[None]:
+    """Add the time that the block, or each call of the decorated function, takes to an entry."""
+    begin = time.perf_counter()
+    yield
+    seconds[name] += time.perf_counter() - begin

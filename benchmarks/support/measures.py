@@ -1,7 +1,9 @@
-"""What `against.py` measures of a checkout: a program for that checkout's own Python, which is
-given the name of a measure and its settings as JSON and prints numbers as JSON.
+"""What `against.py` measures of a checkout: a program for that checkout's own Python.
 
-Nothing of the project is imported before a measure begins, so that start-up counts as users see it.
+    python measures.py MEASURE SETTINGS
+
+SETTINGS are JSON, and so are the numbers that it prints. Nothing of the project is imported before
+a measure begins, so that start-up counts as users see it.
 """
 
 import json
@@ -17,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 BEGIN = time.perf_counter()
-os.environ.setdefault("MUJOCO_GL", "egl")
+os.environ.setdefault("MUJOCO_GL", "egl")  # the fastest that needs no display
 WARM_UP_STEPS = 5
 WANDER = 0.01
 """Standard deviation of an action around the state [m, rad]."""
@@ -72,7 +74,7 @@ def generation(settings: Settings) -> Numbers:
         "start-up, CPU s of one process": start_cpu_s,
         "1,000 frames, wall s": (wall_s - start_wall_s) / thousands,
         "1,000 frames, CPU s": (cpu_s - start_cpu_s) / thousands,
-        "largest process, MB": _largest_mb(),
+        "largest process, MB": largest_process_mb(),
     }
 
 
@@ -122,16 +124,16 @@ def wander(env: Any, steps: int) -> tuple[float, float]:
 
     rng = np.random.default_rng(0)
     seen, _ = env.reset(seed=0)  # of the first world; the others follow
-    begin: tuple[float, float] = _spent()
+    begin = _spent()
     for step in range(-WARM_UP_STEPS, steps):
         if step == 0:
             begin = _spent()
         state = seen["agent_pos"]
         actions = (state + rng.normal(0.0, WANDER, state.shape)).astype(np.float32)
         seen = env.step(actions)[0]
-    wall_s, cpu_s = (after - before for after, before in zip(_spent(), begin, strict=True))
+    end = _spent()
     env.close()
-    return wall_s, cpu_s
+    return end[0] - begin[0], end[1] - begin[1]
 
 
 def evaluation(settings: Settings) -> Numbers:
@@ -154,40 +156,25 @@ def evaluation(settings: Settings) -> Numbers:
 
 
 def _spent() -> tuple[float, float]:
-    """Wall time since this program began, and processor time of it and its children [s]."""
+    """Wall time since this program began, and processor time of it and of children that have
+    ended [s].
+    """
     times = os.times()
-    own_s = time.process_time() + times.children_user + times.children_system
-    return time.perf_counter() - BEGIN, own_s + sum(map(_process_s, _children(os.getpid())))
+    cpu_s = time.process_time() + times.children_user + times.children_system
+    return time.perf_counter() - BEGIN, cpu_s
 
 
-def _children(parent: int) -> list[int]:
-    """Processes that live below ``parent``; none where the system does not tell."""
-    try:
-        direct = [
-            int(child)
-            for task in Path(f"/proc/{parent}/task").iterdir()
-            for child in (task / "children").read_text().split()
-        ]
-    except OSError:
-        return []
-    return [*direct, *(below for child in direct for below in _children(child))]
-
-
-def _process_s(process: int) -> float:
-    try:
-        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
-    except OSError:
-        return 0.0  # it has ended since, and counts as a child that was waited for
-    return sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
-
-
-def _largest_mb() -> float:
+def largest_process_mb() -> float:
+    """Return the most memory that this process, or a child that has ended, has held [MB]."""
     who = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
     return max(resource.getrusage(one).ru_maxrss for one in who) / 1024
 
 
 MEASURES: dict[str, Callable[[Settings], Numbers]] = {
-    measure.__name__: measure for measure in (generation, state_env, image_env, evaluation)
+    "generation": generation,
+    "state_env": state_env,
+    "image_env": image_env,
+    "evaluation": evaluation,
 }
 
 

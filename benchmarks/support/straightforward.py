@@ -1,5 +1,4 @@
-"""What a LeRobot user would write without this project: one world, a loop over ``mj_step`` and
-``mujoco.Renderer``.
+"""What a LeRobot user would write without this project: a loop over ``mj_step``, one world.
 
 It plays the same episodes in the same scene with the same expert, and nothing in it is slow on
 purpose: shadows and multisampling, which cost MuJoCo's renderer much, are off unless asked for, the
@@ -7,6 +6,7 @@ frame buffer has the size of the image, the model is compiled once and every epi
 it, and the recorder leaves out the columns that take extra work (contacts, captures).
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +37,9 @@ from dynahoi_lerobot.scene.world_fields import drive_for
 from dynahoi_lerobot.world.batch import WorldBatch
 
 SETTLE_FRAMES = 10
-RECORDED = ("state", "phase", "action")
+STATE = FEATURES["state"].key
+PHASE = FEATURES["phase"].key
+ACTION = FEATURES["action"].key
 
 
 class StraightforwardEnv(gym.Env):
@@ -59,7 +61,7 @@ class StraightforwardEnv(gym.Env):
         self._limits_w = np.stack([self._commands.low, self._commands.high])
         self.model = self._writer._batch.get_model(0)
         self.data = mujoco.MjData(self.model)
-        self._renderer: mujoco.Renderer | None = None
+        self._renderer: mujoco.Renderer | None = None  # opened by the first image
         self.observation_space = observation_space(frame_features(image_size))
         self.action_space = spaces.Box(*self._commands.limits(), dtype=np.float32)
 
@@ -68,8 +70,7 @@ class StraightforwardEnv(gym.Env):
     ) -> tuple[dict, dict]:
         super().reset(seed=seed)
         number = int(self.np_random.integers(0, 2**31)) if seed is None else seed
-        self.begin(sample_spec(self.recipe, number))
-        return self._observe(), {"is_success": False}
+        return self.begin(sample_spec(self.recipe, number)), {"is_success": False}
 
     def begin(self, spec: EpisodeSpec) -> dict:
         """Put the world into the first frame of ``spec``."""
@@ -82,32 +83,19 @@ class StraightforwardEnv(gym.Env):
         self._writer._batch.get_data(0, self.data)
         mujoco.mj_forward(self.model, self.data)
         self._force = drive_for(spec.motion, spec.target, spec.horizon_frames)[2]
-        self.origin = np.concatenate(
-            [spec.home_pos_w, np.zeros(FINGER_DOF)]
-        )  # of the home frame, world
+        self.origin_w = np.concatenate([spec.home_pos_w, np.zeros(FINGER_DOF)])
         self.executed = np.concatenate([np.zeros(PALM_DOF), spec.open_joints])
         return self._observe()
 
     def step(self, action: np.ndarray) -> tuple[dict, float, bool, bool, dict]:
         acting = self.frame >= self.episode.window_frames
-        previous = self.executed
+        before = self.executed
         if acting:
-            self.executed = self._commands.within_reach(
-                np.asarray(action, float)[None],
-                previous[None],
-                *(self._limits_w - self.origin)[:, None],
-            )[0]
-        set_points = self._commands.set_points(self.executed[None], previous[None])[0] + self.origin
-        dof = self._scene.target_dof
-        for substep in range(SUBSTEPS):
-            self.data.ctrl[:] = set_points[substep]
-            free = self.localized_frame is not None or self.frame >= len(self._force)
-            self.data.qfrc_applied[dof : dof + 3] = (
-                0.0 if free else self._force[self.frame][substep]
-            )
-            mujoco.mj_step(self.model, self.data)
-            if acting and self.localized_frame is None and self._distance() < LOCALIZATION_RADIUS_M:
-                self._attach()
+            given = np.asarray(action, float)[None]
+            reach = (self._limits_w - self.origin_w)[:, None]
+            self.executed = self._commands.within_reach(given, before[None], *reach)[0]
+        (set_points,) = self._commands.set_points(self.executed[None], before[None])
+        self._simulate(set_points + self.origin_w, acting)
         self.frame += 1
         mujoco.mj_forward(self.model, self.data)
         settled = (
@@ -117,18 +105,27 @@ class StraightforwardEnv(gym.Env):
         reward = float(self.success and (settled or late))
         return self._observe(), reward, settled, late and not settled, {"is_success": self.success}
 
+    def _simulate(self, set_points: np.ndarray, acting: bool) -> None:
+        """Advance by one frame; a target that comes near while the hand is ``acting`` is caught."""
+        target = slice(self._scene.target_dof, self._scene.target_dof + 3)
+        for substep in range(SUBSTEPS):
+            self.data.ctrl[:] = set_points[substep]
+            free = self.localized_frame is not None or self.frame >= len(self._force)
+            self.data.qfrc_applied[target] = 0.0 if free else self._force[self.frame][substep]
+            mujoco.mj_step(self.model, self.data)
+            if acting and self.localized_frame is None and self._distance() < LOCALIZATION_RADIUS_M:
+                self._attach()
+
     def render(self) -> np.ndarray:
-        renderer = self._renderer or self._opened()
+        size = self.recipe.rules.image_size
+        renderer = self._renderer
+        if renderer is None:
+            self.model.vis.quality.offsamples = 4 if self._shadows else 0
+            self.model.vis.global_.offwidth = self.model.vis.global_.offheight = size
+            renderer = self._renderer = mujoco.Renderer(self.model, size, size)
+            renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW.value] = self._shadows
         renderer.update_scene(self.data, self._scene.camera)
         return renderer.render()
-
-    def _opened(self) -> mujoco.Renderer:
-        size = self.recipe.rules.image_size
-        self.model.vis.quality.offsamples = 4 if self._shadows else 0
-        self.model.vis.global_.offwidth = self.model.vis.global_.offheight = size
-        self._renderer = renderer = mujoco.Renderer(self.model, size, size)
-        renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW.value] = self._shadows
-        return renderer
 
     def close(self) -> None:
         if self._renderer is not None:
@@ -136,12 +133,18 @@ class StraightforwardEnv(gym.Env):
 
     def view(self) -> WorldView:
         """Return what the expert sees, in the world frame."""
-        due_frame = max(self.frame, self.episode.window_frames)
-        (pose, velocity), caught = self.target_state(), self.localized_frame is not None
-        state = self.executed + self.origin
-        position = pose[:3] + self.episode.home_pos_w
-        known = (self.episode, state, self.frame, due_frame, position, velocity[:3], caught)
-        return WorldView(*known, self._writer.control, LOCALIZATION_RADIUS_M)
+        pose, velocity = self.target_state()
+        return WorldView(
+            self.episode,
+            self.executed + self.origin_w,
+            self.frame,
+            max(self.frame, self.episode.window_frames),
+            pose[:3] + self.episode.home_pos_w,
+            velocity[:3],
+            self.localized_frame is not None,
+            self._writer.control,
+            LOCALIZATION_RADIUS_M,
+        )
 
     def target_state(self) -> tuple[np.ndarray, np.ndarray]:
         """Return pose (7,), home frame, and velocity (6,) of the target."""
@@ -154,14 +157,14 @@ class StraightforwardEnv(gym.Env):
     def _observe(self) -> dict:
         images = {"pixels": {"ego": self.render()}} if self.recipe.rules.image_size else {}
         return images | {
-            "agent_pos": (self.data.qpos[self._scene.hand_qpos] - self.origin).astype(np.float32),
+            "agent_pos": (self.data.qpos[self._scene.hand_qpos] - self.origin_w).astype(np.float32),
             "phase": one_hot_phase(np.array(self.frame >= self.episode.window_frames)),
         }
 
     def _distance(self) -> float:
         qpos = self._scene.target_qpos
         gap = self.data.qpos[qpos : qpos + 3] - self.data.qpos[self._scene.hand_qpos[:PALM_DOF]]
-        return float(np.sqrt(gap @ gap))
+        return float(np.linalg.norm(gap))
 
     def _attach(self) -> None:
         """Weld the target to the palm and judge the grasp."""
@@ -169,13 +172,12 @@ class StraightforwardEnv(gym.Env):
         data = self.data
         model = self.model
         self.localized_frame = self.frame
-        palm, joints = np.split(data.qpos[scene.hand_qpos] - self.origin, [PALM_DOF])
+        palm, joints = np.split(data.qpos[scene.hand_qpos] - self.origin_w, [PALM_DOF])
         self.success = bool(
             in_reference_grasp(joints, self.episode.open_joints, self.episode.reference_joints)
         )
         model.geom_contype[scene.target_geoms] = 0
-        position = self.target_state()[0][:3]
-        quat = self.target_state()[0][3:]
+        position, quat = np.split(self.target_state()[0], [3])
         inverse = np.zeros(4)
         offset = np.zeros(3)
         mujoco.mju_negQuat(inverse, quat)
@@ -186,7 +188,7 @@ class StraightforwardEnv(gym.Env):
         data.qvel[dof : dof + 6] = [*data.qvel[scene.hand_dof[:PALM_DOF]], 0, 0, 0]
 
 
-def record(root: Path, recipe: Recipe, seeds: list[int], *, shadows: bool = False) -> int:
+def record(root: Path, recipe: Recipe, seeds: Sequence[int], *, shadows: bool = False) -> int:
     """Record the expert's successes with LeRobot's streaming writer, coded as this project codes;
     return the frames.
     """
@@ -225,25 +227,24 @@ def _play(env: StraightforwardEnv, dataset: Any, spec: EpisodeSpec) -> bool:
     expert = Intercept()
     for _ in range(spec.length_frames):
         before = seen
-        action = expert.command(env.view()) - env.origin
+        action = expert.command(env.view()) - env.origin_w
         seen = env.step(action)[0]
-        dataset.add_frame(_frame(before, env.executed, spec.task))
+        frame = {
+            STATE: before["agent_pos"],
+            PHASE: before["phase"].astype(np.float32),
+            ACTION: env.executed.astype(np.float32),
+            CAMERA_KEY: before["pixels"]["ego"],
+        }
+        dataset.add_frame(frame | {"task": spec.task})
     return env.success
 
 
-def _frame(seen: dict, executed: np.ndarray, task: str) -> dict[str, Any]:
-    values = (seen["agent_pos"], seen["phase"], executed)
-    frame = {
-        FEATURES[name].key: value.astype(np.float32)
-        for name, value in zip(RECORDED, values, strict=True)
-    }
-    return frame | {CAMERA_KEY: seen["pixels"]["ego"], "task": task}
-
-
 def _features(image_size: int) -> dict[str, dict[str, Any]]:
-    stored = [FEATURES[name] for name in RECORDED]
-    features = {f.key: {"dtype": f.dtype, "shape": f.shape, "names": list(f.names)} for f in stored}
+    """Return LeRobot's description of the columns."""
     camera = image_feature("ego", image_size)
-    return features | {
-        CAMERA_KEY: {"dtype": "video", "shape": camera.shape, "names": list(camera.names)}
-    }
+    features = {}
+    for feature in (FEATURES["state"], FEATURES["phase"], FEATURES["action"], camera):
+        dtype = "video" if feature is camera else feature.dtype
+        names = list(feature.names)
+        features[feature.key] = {"dtype": dtype, "shape": feature.shape, "names": names}
+    return features

@@ -33,8 +33,7 @@ class Block:
     @property
     def commands(self) -> list[list[str]]:
         """The words of every command line, from the program's name on."""
-        lines = self.body.replace("\\\n", " ").splitlines()
-        return [words for line in lines if (words := _command(line))]
+        return _commands(self.body.replace("\\\n", " ").splitlines())
 
 
 @dataclass(frozen=True)
@@ -51,10 +50,12 @@ class Page:
         before = ""
         for token in MarkdownIt().enable("table").parse(path.read_text()):
             if token.type == "fence":
-                need, file = ("".join(rule.findall(before)) for rule in (NEED, SAVED))
+                need = "".join(NEED.findall(before))
+                file = "".join(SAVED.findall(before))
                 blocks.append(Block(token.info, token.content, need, file))
-            inline = token.children or ()
-            spans += [child.content for child in inline if child.type == "code_inline"]
+            for child in token.children or ():
+                if child.type == "code_inline":
+                    spans.append(child.content)
             before = token.content.rstrip() or before
         return cls(path, blocks, spans)
 
@@ -62,11 +63,16 @@ class Page:
     def commands(self) -> list[list[str]]:
         """The words of every command line in blocks of code and code spans."""
         shown = [words for block in self.blocks for words in block.commands]
-        return shown + [words for span in self.spans if (words := _command(span))]
+        return shown + _commands(self.spans)
 
 
 def pages() -> list[Page]:
     return [Page.read(path) for path in PAGES]
+
+
+def _commands(lines: list[str]) -> list[list[str]]:
+    """The words of each line that is a command."""
+    return [words for words in map(_command, lines) if words]
 
 
 def _command(line: str) -> list[str]:

@@ -15,7 +15,7 @@ FOLDERS = sorted(tables.FIGURES.glob("*.json"))
 
 
 @pytest.mark.parametrize(
-    "path", tables.PAGES, ids=lambda path: path.relative_to(tables.ROOT).as_posix()
+    "path", tables.PAGES, ids=lambda path: path.relative_to(tables.REPOSITORY).as_posix()
 )
 def test_pages_show_the_figures_on_file(path: Path):
     page = path.read_text()

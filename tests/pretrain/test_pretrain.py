@@ -30,9 +30,10 @@ def tiny_recipe(folder: Path, **changes: object) -> Path:
         "episodes": {"image_size": 32},
         "n_episodes": 2,
         "batch_size": BATCH,
+        "images": BATCH * UPDATES,
+        "save_every": SAVE_EVERY,
+        "eye": TINY_EYE,
     }
-    recipe |= {"images": BATCH * UPDATES, "save_every": SAVE_EVERY}
-    recipe |= {"eye": TINY_EYE}
     path = folder / "recipe.yaml"
     path.write_text(yaml.safe_dump(recipe | changes))
     return path
@@ -73,32 +74,25 @@ def test_an_eye_is_pretrained_and_a_policy_starts_from_it(finished: Path):
 
 def test_a_run_that_was_killed_twice_ends_as_one_that_was_not(finished, tmp_path, monkeypatch):
     words = ["pretrain", "--recipe", str(tiny_recipe(tmp_path))]
-    for update, saved in (
-        (5, [12]),
-        (2, [12]),
-    ):  # two updates after the first save, then one before the second
+    for update in (5, 2):  # two updates after the first save, then one before the second
         with monkeypatch.context() as patch:
             kill_at(patch, update)
             assert main(words) == 130
-        assert [line["images"] for line in log(tmp_path / "eye")] == saved
+        assert [line["images"] for line in log(tmp_path / "eye")] == [BATCH * SAVE_EVERY]
         assert not (tmp_path / "eye" / pretraining.WEIGHTS).exists()
     assert main(words) == 0
     assert [line["loss"] for line in log(tmp_path / "eye")] == [
         line["loss"] for line in log(finished)
     ]
-    weights, expected = (
-        load_file(folder / pretraining.WEIGHTS) for folder in (tmp_path / "eye", finished)
-    )
-    for name, tensor in expected.items():
+    weights = load_file(tmp_path / "eye" / pretraining.WEIGHTS)
+    for name, tensor in load_file(finished / pretraining.WEIGHTS).items():
         torch.testing.assert_close(weights[name], tensor, rtol=0, atol=0, msg=name)
 
 
 def test_several_processes_render_the_same_images_after_a_resume(tmp_path: Path):
     recipe = read_recipe(tiny_recipe(tmp_path, n_episodes=4), workers=2)
-    whole, rest = (
-        list(DataLoader(pretraining.RenderedImages(recipe, first), None, num_workers=2))
-        for first in (0, SAVE_EVERY)
-    )
+    whole = list(DataLoader(pretraining.RenderedImages(recipe, 0), None, num_workers=2))
+    rest = list(DataLoader(pretraining.RenderedImages(recipe, SAVE_EVERY), None, num_workers=2))
     assert len(whole) == UPDATES
     for one, other in zip(whole[SAVE_EVERY:], rest, strict=True):
         torch.testing.assert_close(one, other, rtol=0, atol=0)

@@ -57,7 +57,8 @@ def test_the_target_is_where_they_say_fingers_move_and_some_images_come_twice(
 
     monkeypatch.setattr(WorldBatch, "place", watched)
     shown = list(islice(snapshots(batch, SPECS, np.random.default_rng(0)), 8))
-    now, before = np.concatenate(placed[0::2]), np.concatenate(placed[1::2])  # (256, 28) each
+    now = np.concatenate(placed[0::2])  # (256, 28)
+    before = np.concatenate(placed[1::2])
     places = np.concatenate([s.place for s in shown])
     np.testing.assert_allclose(places, now[:, 18:21] - now[:, :3], atol=1e-6)
     assert len(np.unique(places, axis=0)) > 190, (
@@ -67,10 +68,10 @@ def test_the_target_is_where_they_say_fingers_move_and_some_images_come_twice(
         "targets near and far, left and right, above and below"
     )
     assert (now[:, 2] + now[:, 27] > 0.049).all(), "no palm is in the floor"
-    now = now[:, 3:18]
-    before = before[:, 3:18]
-    moving = np.abs(now - before).max(axis=1) > 1e-3
-    closing = (np.abs(now).sum(axis=1) > np.abs(before).sum(axis=1)) & moving
+    joints = np.abs(now[:, 3:18])
+    joints_before = np.abs(before[:, 3:18])
+    moving = np.abs(now - before)[:, 3:18].max(axis=1) > 1e-3
+    closing = (joints.sum(axis=1) > joints_before.sum(axis=1)) & moving
     assert 0.2 < moving.mean() < 0.4
     assert closing.sum() > 1.5 * (moving.sum() - closing.sum()), "hands close faster than they open"
     images = np.concatenate([s.images for s in shown])
@@ -90,13 +91,9 @@ def test_a_share_of_the_episodes_is_randomised(tmp_path: Path):
 
 
 def test_hands_take_turns(tmp_path: Path):
+    hands = ("capsule", "opposed")
     recipe = PretrainRecipe(
-        tmp_path,
-        episodes=RECIPE,
-        hands=("capsule", "opposed"),
-        n_episodes=2,
-        batch_size=2,
-        images=2,
+        tmp_path, episodes=RECIPE, hands=hands, n_episodes=2, batch_size=2, images=2
     )
     stream = ImageStream(recipe)(0)
     recipes = [changed(RECIPE, {"hand": hand}) for hand in recipe.hands]

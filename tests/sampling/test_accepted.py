@@ -66,9 +66,9 @@ def test_the_sampler_draws_the_same_as_a_search_from_the_beginning(split: str):
 @pytest.mark.slow
 @pytest.mark.parametrize("split", STREAMS)
 def test_the_file_says_of_every_seed_what_a_search_finds(split: str):
-    found = pin.searched(split, split_seeds(split))
-    attempts = {split: np.array([candidate.attempts for candidate, _ in found])}
-    assert pin.attempt_differences(attempts, BENCHMARK_ID, ENTRIES) == []
+    found = search(Recipe(split=split), split_seeds(split), threads=0)
+    attempts = {candidate.seed: candidate.attempts for candidate, _ in found}
+    assert attempts == accepted_attempts(Recipe(split=split))
     assert_same(sample_specs(Recipe(split=split), split_seeds(split)), [spec for _, spec in found])
 
 
@@ -125,8 +125,13 @@ def test_attempts_of_another_benchmark_are_not_read(fresh):
 
 def test_a_file_that_differs_is_told_by_the_first_seed(tmp_path: Path):
     arrays = stored()
-    wanted = {name: arrays[name].copy() for name in STREAMS}
     arrays["val"][7:9] += 1
     np.savez(tmp_path / "accepted.npz", **arrays)
-    (sentence,) = pin.attempt_differences(wanted, BENCHMARK_ID, tmp_path / "accepted.npz")
+    (sentence,) = pin.differences(pin.read(), pin.read(entries=tmp_path / "accepted.npz"))
     assert sentence == "2 of 220 attempts of val differ, the first is 7"
+
+
+def test_attempts_of_another_benchmark_than_the_digests_are_told(tmp_path: Path):
+    np.savez(tmp_path / "accepted.npz", **stored() | {"benchmark": "v4-00000000"})
+    (sentence,) = pin.differences(pin.read(), pin.read(entries=tmp_path / "accepted.npz"))
+    assert sentence == f"attempts are pinned for 'v4-00000000', digests for {BENCHMARK_ID!r}"

@@ -10,6 +10,8 @@ import pytest
 
 from benchmarks import pin
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK, EPISODES_DIGEST
+from dynahoi_lerobot.sampling.recipe import Recipe
+from dynahoi_lerobot.sampling.sampler import search
 from dynahoi_lerobot.sampling.splits import split_seeds
 from tests.tools import python
 
@@ -55,7 +57,7 @@ def test_specs_are_the_pinned_ones(split: str):
     """Some, of all kinds of motion; ``benchmarks/pin.py --check`` compares all."""
     seeds = pin.pinned_seeds(split)
     some = seeds[BENCHMARK.streams.index(split) :: 43 if len(seeds) == 1000 else 9]
-    found = {spec.seed: pin.spec_digest(spec) for _, spec in pin.searched(split, some)}
+    found = {spec.seed: pin.spec_digest(spec) for _, spec in search(Recipe(split=split), some)}
     assert found == {seed: PINNED["specs"][split][seed] for seed in found}
     assert len(found) > 22
 
