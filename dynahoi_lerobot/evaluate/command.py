@@ -252,6 +252,11 @@ def _vlm(options: Options) -> Agent:
     return VlmAgent(client, name=f"vlm:{options.model}:{options.prompt}")
 
 
+def _clip_seeds(options: Options) -> set[int]:
+    """Return the seeds whose episodes are drawn as GIFs: the first ones of the split."""
+    return set(split_seeds(options.split)[: options.gifs])
+
+
 def _clip_path(folder: Path, motion: str, seed: int) -> Path:
     return folder / f"{motion}_{seed}.gif"
 
@@ -260,7 +265,7 @@ def _refuse_missing_clips(options: Options, earlier: Results) -> None:
     """Raise a ValueError if an episode that was played without ``--gifs`` is now to be recorded:
     it is not played again.
     """
-    shown = split_seeds(options.split)[: options.gifs]
+    shown = _clip_seeds(options)
     folder = earlier.folder
     for row in earlier.rows:
         seed = row["seed"]
@@ -294,7 +299,7 @@ def _played(
     if not seeds:
         return
     batch = WorldBatch(recipe.rules, min(size, len(seeds)))
-    shown = set(split_seeds(options.split)[: options.gifs])
+    shown = _clip_seeds(options)
     with progress_bar(
         total=len(seeds), desc=f"{options.policy} on {options.split}", unit="episode"
     ) as progress:
