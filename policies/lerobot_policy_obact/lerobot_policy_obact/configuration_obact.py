@@ -192,8 +192,6 @@ class ObActConfig(PreTrainedConfig):
     def grips(self) -> bool:
         """Whether the target must be gripped; the head then also reads how far each joint is
         closed.
-
-        Only the checkpoint `obact_contact`, which ships, does: no training by contact is offered.
         """
         return self.forecasts and self.embodiment.capture == CONTACT
 

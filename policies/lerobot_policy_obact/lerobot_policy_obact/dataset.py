@@ -43,6 +43,7 @@ CAPTURE = "capture"
 WINDOW = "window_frames"
 TRUTH = "meta/privileged"  # a row per frame
 LOCALIZED = "localized"
+TARGET_POSE = "target.pose"
 CONSTANTS = "meta/privileged_episodes"  # a row per episode
 TARGET_PATH = "target_path"
 HAND_LIMITS = "hand_limits"
@@ -100,9 +101,6 @@ def _why_no_forecast(config: ObActConfig, meta: Any) -> str:
             f"forecast_weight is {config.forecast_weight} and freeze_encoder is "
             f"{config.freeze_encoder}, but must be above 0 and true"
         )
-    captures = columns_of(meta, EPISODES, {CAPTURE}).get(CAPTURE)
-    if captures and captures[0] == CONTACT:
-        return "its targets must be gripped, and training by contact is not offered"
     return (
         "it has no target's path, or displacements as actions; train on one that has the path, as "
         "dynahoi generate writes it, or from random weights"
@@ -247,9 +245,6 @@ def _learnable_capture(meta: Any, constants: dict[str, list[Any]]) -> str:
     known = TARGET_PATH in constants and (meta.root / TRUTH).is_dir()
     if not (captures and known and absolute):
         return ""
-    if captures[0] == CONTACT:
-        logging.warning("targets must be gripped: only actions are learned")
-        return ""
     return captures[0] or ""
 
 
@@ -265,13 +260,16 @@ class TargetTable:
     # in the loss, of a window, (E,): less in episodes with more windows, so that all count alike
     weight: Tensor
     teacher: Teacher
+    count: Tensor  # recorded frames, (E,)
+    track: Tensor | None = None  # where the target was recorded [m], (E, T, 3), if hands grip it
 
     @classmethod
     def of(cls, meta: Any, embodiment: Embodiment) -> TargetTable:
         """Return the table of the dataset that ``meta`` describes, which has the target's path."""
         table = columns_of(meta, EPISODES, {"length", WINDOW})
         constants = columns_of(meta, CONSTANTS, {TARGET_PATH, OPEN_JOINTS, CLOSED_JOINTS})
-        truth = columns_of(meta, TRUTH, {LOCALIZED})
+        grips = embodiment.capture == CONTACT
+        truth = columns_of(meta, TRUTH, {LOCALIZED, TARGET_POSE} if grips else {LOCALIZED})
         count = torch.tensor(table["length"])
         if not np.array_equal(np.bincount(truth["episode_index"]), count):
             raise ValueError(
@@ -285,32 +283,63 @@ class TargetTable:
             torch.tensor(constants[name], dtype=torch.float32).quantile(CLOSED_QUANTILE, dim=0)
             for name in (OPEN_JOINTS, CLOSED_JOINTS)
         )
+        track = None
+        if grips:
+            catch += 1  # fingers that are told to close in a frame are closed in the next
+            places = torch.tensor(np.array(truth[TARGET_POSE], np.float32)[:, :3])
+            track = torch.nn.utils.rnn.pad_sequence(places.split(count.tolist()), batch_first=True)
+        learned = count if grips else catch
         return cls(
             path=torch.nn.utils.rnn.pad_sequence(paths, batch_first=True),
             length=torch.tensor([len(path) for path in paths]),
             catch=catch,
             begin=torch.tensor([frames or 0 for frames in table[WINDOW]], dtype=torch.long),
             first_index=count.cumsum(0) - count,
-            weight=catch.float().mean() / catch.clamp_min(1),
-            teacher=Teacher(
-                fps=embodiment.fps,
-                step_m=embodiment.step_m,
-                open_joints=open_joints,
-                closed_joints=closed_joints,
-                radius_m=embodiment.radius_m,
-            ),
+            weight=learned.float().mean() / learned.clamp_min(1),
+            teacher=_teacher_of(embodiment, open_joints, closed_joints),
+            count=count,
+            track=track,
         )
 
-    def window(self, episode: Tensor, first: Tensor, n_frames: int) -> tuple[Targets, Tensor]:
-        """Return targets from the ``first`` frames ``(B,)`` of episodes ``(B,)`` on, and the frames
-        in which the hands may move, both counted from there.
+    def window(self, episode: Tensor, newest: Tensor, offsets: list[int]) -> tuple[Targets, Tensor]:
+        """Return targets of episodes ``(B,)`` in windows of the frames at ``offsets`` from the
+        ``newest`` ones ``(B,)``, and the frames in which the hands may move, both counted from the
+        first.
 
-        Their paths go on beyond the ``n_frames`` of a window, as far as a teacher looks. A target
-        waits before its recording, and where its path is no longer known.
+        Their paths go on beyond a window, as far as a teacher looks. A target waits before its
+        recording, and where its path is no longer known. One that the hand grips is where it was
+        recorded.
         """
+        first = newest + offsets[0]
+        frame = first[:, None] + torch.arange(len(offsets) + LONGEST_FRAMES)
+        catch = self.catch[episode]
         length = self.length[episode]
-        frame = first[:, None] + torch.arange(n_frames + LONGEST_FRAMES)
         inside = torch.minimum(frame.clamp_min(0), length[:, None] - 1)
         path = self.path[episode[:, None], inside]
-        targets = Targets(path, length - first, self.catch[episode] - first)
-        return targets, self.begin[episode] - first
+        held = torch.zeros_like(catch, dtype=torch.bool)
+        if self.track is not None:
+            held = newest >= catch
+            length = torch.where(held, self.count[episode], length)
+            inside = torch.minimum(frame.clamp_min(0), self.count[episode, None] - 1)
+            path = torch.where(held[:, None, None], self.track[episode[:, None], inside], path)
+        return Targets(path, length - first, catch - first, held), self.begin[episode] - first
+
+
+def _teacher_of(embodiment: Embodiment, open_joints: Tensor, closed_joints: Tensor) -> Teacher:
+    """Return the teacher of a hand, under the rule of capture.
+
+    Raises:
+        ImportError: if targets must be gripped, and the expert that knows how is not installed.
+    """
+    fps = embodiment.fps
+    step_m = embodiment.step_m
+    if embodiment.capture != CONTACT:
+        return Teacher(fps, step_m, open_joints, closed_joints, embodiment.radius_m)
+    try:
+        from .grip import GRIP_M, Grip
+    except ImportError as error:
+        raise ImportError(
+            "targets that must be gripped are learned from the expert 'match' of dynahoi_lerobot: "
+            "install lerobot_policy_obact[contact]"
+        ) from error
+    return Grip(fps, step_m, open_joints, closed_joints, GRIP_M)

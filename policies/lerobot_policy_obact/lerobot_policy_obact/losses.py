@@ -99,7 +99,9 @@ def decision_losses(
     palm = gather_frames(window.frames.palm, (rows + delay).clamp_max(last))
     # at the latest in the last frame but one that is known: a teacher looks a frame ahead
     due = torch.minimum(rows + delay, targets.length[:, None] - 2)
+    held = targets.held[:, None, None, None]
     palms = teacher.palms(targets, due, palm)  # (B, Q, M, 3)
+    palms = torch.where(held, palm[:, :, None], palms)
     answers = teacher.answer(targets, due, palms, model.config.horizon)
     near = _nearness(answers.frames + delay, answers.reachable)
     losses = {"forecast": forecast_loss(model, forecast.places, targets, rows, near)}
@@ -108,12 +110,16 @@ def decision_losses(
     repeated = replace(forecast.later(delay), attention=None).map(
         lambda x: repeat(x, "b q ... -> (b q m) ...", m=n_palms)
     )
-    context, origin = model.condition(repeated, palms.flatten(0, 2))
-    actions = torch.cat([answers.goal, teacher.joints(answers.closing)], dim=-1).flatten(0, 2)
+    state = repeat(gather_frames(window.frames.state, rows), "b q s -> (b q m) s", m=n_palms)
+    context, origin = model.condition(repeated, palms.flatten(0, 2), state)
+    actions = torch.cat([answers.goal, teacher.joints(answers.closing)], dim=-1)
     weight = torch.where(answers.reachable, 1.0, UNREACHABLE_WEIGHT)
     # nothing is decided that would take effect after the catch
     weight = weight * (rows + delay < targets.catch[:, None])[..., None]
-    weight = repeat(weight, "b q m -> (b q m) h", h=model.config.horizon)
+    weight = repeat(weight, "b q m -> b q m h", h=model.config.horizon)
+    # a hand that grips the target goes on as it was recorded
+    actions = torch.where(held[..., None], window.actions[:, None, None], actions).flatten(0, 2)
+    weight = torch.where(held, window.action_weight[:, None, None], weight).flatten(0, 2)
     # (B * Q * M,)
     loss = model.head.loss(context, model.normalize(actions, origin.detach()), weight)
     losses["action"] = rearrange(loss, "(b n) -> b n", b=n_windows).mean(1)
@@ -167,8 +173,10 @@ def closed_loop_loss(
     known = (due[:, :-1] < targets.length[:, None] - 1) & (due[:, :-1] < n_frames)
     path = gather_frames(targets.path, due.clamp_max(targets.path.shape[1] - 1))
     palm = gather_frames(window.frames.palm, due[:, :1].clamp_max(n_frames - 1))
-    way = rolled_out(model, forecast, palm)
-    misses = teacher.misses(way - path)  # (B, R)
+    state = gather_frames(window.frames.state, rows[:, 0])
+    way = rolled_out(model, forecast, palm, state)
+    misses = teacher.misses(way - path)  # (B, R')
+    known = known[:, : misses.shape[1]] & ~targets.held[:, None]
     least = misses.masked_fill(~known, torch.inf).amin(1)
     least = least.where(least.isfinite(), 0.0)
     step = torch.sigmoid((least / teacher.radius_m - RIM) / SOFTNESS)

@@ -141,8 +141,8 @@ class ObActPolicy(PreTrainedPolicy):
             return window
         episode = batch["episode_index"].flatten().cpu()
         newest = batch["index"].flatten().cpu() - self.targets.first_index[episode]
-        first = newest + config.observation_delta_indices[0]
-        targets, begin = self.targets.window(episode, first, recorded.shape[1])
+        offsets = config.observation_delta_indices
+        targets, begin = self.targets.window(episode, newest, offsets)
         return replace(window, begin=begin.to(device), targets=targets.to(device))
 
     def _drawn_delay(self) -> int:

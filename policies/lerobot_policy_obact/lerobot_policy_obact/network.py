@@ -121,9 +121,7 @@ class ObActModel(nn.Module):
             rows = torch.full((len(frames.state), 1), last, device=frames.state.device)
         return self.forecaster(frames, rows)
 
-    def condition(
-        self, forecast: Forecast, palm: Tensor, state: Tensor | None = None
-    ) -> tuple[Tensor, Tensor]:
+    def condition(self, forecast: Forecast, palm: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """Return what the head reads, ``(R, C)``, and the places from which its actions count [m],
         ``(R, H, 3)``.
 
@@ -136,15 +134,13 @@ class ObActModel(nn.Module):
             forecast: of R decisions, ``(R, ...)``.
             palm: where the palm will be when a command takes effect [m], ``(R, 3)``.
             state: of the robot, ``(R, S)``. Without a forecast the head reads it, and to grip it
-                reads the joints; None where it does neither.
+                reads the joints.
         """
         config = self.config
         places = forecast.places
         features = nn.functional.silu(self.features(forecast.features))
-        if state is not None:
-            state = (state - self.state_mean) / self.state_std
+        state = (state - self.state_mean) / self.state_std
         if not config.forecasts:
-            assert state is not None
             context = self.trunk(torch.cat([state, features], dim=-1))
             return context, repeat(palm, "r i -> r h i", h=config.horizon)
         unit = OFFSET.at(self.forecaster.ahead_s)
@@ -152,7 +148,6 @@ class ObActModel(nn.Module):
         distance = offset.norm(dim=-1).clamp_max(MOST_UNITS)
         read = [offset.clamp(-MOST_UNITS, MOST_UNITS).flatten(1), distance, features]
         if config.grips:
-            assert state is not None
             read.append(state[:, self.n_relative :])
         context = self.trunk(torch.cat(read, dim=-1))
         logits = self.when(context)
@@ -165,11 +160,11 @@ class ObActModel(nn.Module):
         both = torch.cat([places, along], dim=1)
         return context, einsum(weights, both, "r h i k, r k i -> r h i")
 
-    def act_once(self, forecast: Forecast, palm: Tensor) -> Tensor:
+    def act_once(self, forecast: Forecast, palm: Tensor, state: Tensor) -> Tensor:
         """Return actions ``(R, A)`` sampled in one step from fresh noise, for training; see
         `condition`.
         """
-        context, origin = self.condition(forecast, palm)
+        context, origin = self.condition(forecast, palm, state)
         start = torch.randn(len(context), *self.head.noise_shape, device=context.device)
         return self.unnormalize(self.head.denoise(context, start, 1), origin)[:, 0]
 
@@ -192,6 +187,7 @@ def rolled_out(
     model: ObActModel,
     forecast: Forecast,
     way: Tensor,
+    state: Tensor,
     *,
     begin: Tensor | None = None,
     pushes: Tensor | None = None,
@@ -202,6 +198,7 @@ def rolled_out(
         model: whose head it is.
         forecast: of the decisions, ``(B, R)``.
         way: of the palm until the first of these takes effect [m], ``(B, W, 3)``.
+        state: of the robot at the first, ``(B, S)``, whose fingers stay as they are.
         begin: the decision from which on the palm moves, ``(B,)``; by default the first.
         pushes: by which goals are off, ``(B, R', 3)`` [m], R' >= R.
     """
@@ -209,7 +206,7 @@ def rolled_out(
     step_m = model.config.embodiment.step_m
     for r in range(forecast.features.shape[1]):
         palm = ways[-1]
-        goal = palm_of(model.act_once(forecast[:, r], palm))
+        goal = palm_of(model.act_once(forecast[:, r], palm, state))
         if pushes is not None:
             goal = goal + pushes[:, r]
         moved = stepped(palm, goal, step_m)

@@ -7,7 +7,7 @@ several palms at once, and the teacher answers for all of them.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import torch
 from einops import repeat
@@ -42,6 +42,8 @@ class Targets(Record):
     path: Tensor  # [m], (B, F, 3)
     length: Tensor  # known frames of that, (B,)
     catch: Tensor  # the frame in which the hand has caught them; nothing is decided after it, (B,)
+    # whether a recorded hand grips them in the current frame: its actions go on, (B,)
+    held: Tensor
 
     def places(self, frame: Tensor) -> Tensor:
         """Return where targets are in frames ``(B, Q, K)`` [m], ``(B, Q, K, 3)``."""
@@ -71,6 +73,7 @@ class Teacher:
     open_joints: Tensor  # of the hand [rad], (J,)
     closed_joints: Tensor  # of the hand [rad], (J,)
     radius_m: float  # a target is caught where `misses` returns less [m]
+    grips: ClassVar[bool] = False  # whether fingers must hold the target
 
     def answer(self, targets: Targets, due: Tensor, palms: Tensor, horizon: int) -> Answers:
         """Return what to do with palms ``(B, Q, M, 3)`` [m] in frames ``due`` ``(B, Q)``.
@@ -97,10 +100,22 @@ class Teacher:
         return Answers(intercept.expand(-1, -1, -1, horizon, -1), closing, frames, reachable)
 
     def misses(self, offsets: Tensor) -> Tensor:
-        """Return by how much palms at ``offsets`` ``(B, R, 3)`` [m] from their targets pass them,
-        from frame to frame, ``(B, R - 1)`` [m].
+        """Return how far palms at ``offsets`` ``(B, R, 3)`` [m] from their targets are from
+        catching, frame by frame, ``(B, R')`` [m], R' < R: here, by how much they pass them.
         """
         return passing_distance(offsets[:, :-1], offsets[:, 1:])
+
+    def caught(self, offsets: Tensor) -> Tensor:
+        """Return whether palms at ``offsets`` ``(B, R, 3)`` [m] from their targets catch them, from
+        frame to frame, ``(B, R - 1)``.
+        """
+        return self.misses(offsets) < self.radius_m
+
+    def pursued(self, palm: Tensor, place: Tensor, next_place: Tensor) -> Tensor:
+        """Return where palms ``(B, 3)`` go that pursue targets which are at ``place`` now and at
+        ``next_place`` a frame later [m]: to that.
+        """
+        return next_place
 
     def joints(self, closing: Tensor) -> Tensor:
         """Return commands to the joints [rad], ``(..., J)``, of hands that should be closed by

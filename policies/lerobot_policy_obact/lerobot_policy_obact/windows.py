@@ -86,12 +86,14 @@ class VirtualHands:
         targets, (b, n) = window.targets, window.recorded.shape
         assert targets is not None
         device = window.begin.device
-        virtual = _chance(virtual_share, b, device)
+        virtual = _chance(virtual_share, b, device) & ~targets.held
         later = virtual & _chance(LATER_SHARE, b, device)
         known = targets.length.clamp_max(targets.path.shape[1])
         room = (known - n - LATER_FRAMES).clamp_min(0)
         shown = _shown_later(window, (room * torch.rand(b, device=device)).long() * later)
         donors = Donors(window, self.model.forecaster.cameras)
+        if self.teacher.grips:
+            shown = _opened(shown, virtual, self.teacher.open_joints)
         shown = self._with_palm(shown, donors, self._ways(shown, donors, virtual, later))
         assert shown.targets is not None
         catch = torch.where(virtual, self._catch(shown), targets.catch)
@@ -105,8 +107,8 @@ class VirtualHands:
         palm = window.frames.palm
         assert targets is not None
         frame = torch.arange(palm.shape[1] - 1, device=palm.device)
-        misses = self.teacher.misses(palm - targets.path[:, : palm.shape[1]])
-        caught = (misses < self.teacher.radius_m) & (frame >= window.begin[:, None])
+        caught = self.teacher.caught(palm - targets.path[:, : palm.shape[1]])
+        caught &= frame >= window.begin[:, None]
         first = torch.where(caught, frame + 1, targets.length[:, None])
         return torch.cat([first, targets.length[:, None]], dim=1).amin(1)
 
@@ -134,7 +136,8 @@ class VirtualHands:
         way = [start]
         for t in range(n - 1):
             along = recorded_palm[:, t + 1] + start - recorded_palm[:, 0]
-            goal = torch.where(follows & donors.usable[:, t + 1, None], along, path[:, t + 1])
+            pursued = self.teacher.pursued(way[-1], path[:, t], path[:, t + 1])
+            goal = torch.where(follows & donors.usable[:, t + 1, None], along, pursued)
             palm = stepped(way[-1], goal + pushes[:, t], embodiment.step_m)
             way.append(torch.where((begin + delay <= t)[:, None], palm, way[-1]))
         ways = torch.where(virtual[:, None, None], torch.stack(way, dim=1), recorded_palm)
@@ -143,7 +146,10 @@ class VirtualHands:
         rows = torch.arange(max(0, n - 1 - delay), device=device).expand(len(seen.state), -1)
         forecast = self.model.encode_history(seen, rows).later(delay)
         start = ways[led, : delay + 1]
-        ways[led] = rolled_out(self.model, forecast, start, begin=begin[led], pushes=pushes[led])
+        state = seen.state[:, 0]
+        ways[led] = rolled_out(
+            self.model, forecast, start, state, begin=begin[led], pushes=pushes[led]
+        )
         return ways
 
     def _pushes(self, spread_m: Tensor, begin: Tensor, n: int) -> Tensor:
@@ -183,7 +189,7 @@ class Donors:
         n = window.recorded.shape[1]
         assert targets is not None
         row = torch.arange(n, device=recorded.device)
-        usable = recorded & (row < targets.catch[:, None])
+        usable = recorded & ((row < targets.catch[:, None]) | targets.held[:, None])
         # a window after the catch has none: one must do, though it may show something else
         usable[:, 0] |= ~usable.any(1)
         self.usable = usable
@@ -272,6 +278,14 @@ def _shown_later(window: Window, frames: Tensor) -> Window:
         hidden = row < (hidden.sum(1) - frames)[:, None]
     seen = replace(window.frames, hidden=hidden)
     return replace(window, frames=seen, begin=window.begin - frames, targets=later)
+
+
+def _opened(window: Window, virtual: Tensor, open_joints: Tensor) -> Window:
+    """Return windows in which virtual hands are open: until they catch, all there is to decide."""
+    state = window.frames.state
+    opened = torch.cat([state[..., :3], open_joints.to(state).expand(*state.shape[:2], -1)], dim=-1)
+    state = torch.where(virtual[:, None, None], opened, state)
+    return replace(window, frames=replace(window.frames, state=state))
 
 
 def _chance(share: float, n: int, device: torch.device) -> Tensor:

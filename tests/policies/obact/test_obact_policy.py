@@ -804,23 +804,6 @@ def test_another_process_without_the_core_acts_the_same_and_trains(hand_root: Pa
     torch.testing.assert_close(torch.load(tmp_path / "actions.pt"), actions, atol=1e-4, rtol=0)
 
 
-def test_training_by_contact_is_not_offered(hand_root: Path, monkeypatch):
-    config = learner(hand_root).config
-    config.pretrained_path = Path("ours")
-    columns_of = dataset.columns_of
-
-    def by_contact(meta, folder: str, wanted) -> dict:
-        columns = columns_of(meta, folder, wanted)
-        if "capture" in columns:
-            columns["capture"] = ["contact"] * len(columns["capture"])
-        return columns
-
-    monkeypatch.setattr(dataset, "columns_of", by_contact)
-    meta = metadata(hand_root)
-    with pytest.raises(ValueError, match="must be gripped, and training by contact is not offered"):
-        ObActPolicy(config, dataset_meta=meta)
-
-
 def test_where_lerobot_has_merged_only_actions_are_learned(hand_root: Path, tmp_path: Path, caplog):
     root = tmp_path / "merged"
     sources = [LeRobotDataset("local/x", root=hand_root), LeRobotDataset("local/y", root=hand_root)]

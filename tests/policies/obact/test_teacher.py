@@ -21,7 +21,7 @@ from tests.policies.obact.test_windows import RADIUS_M, STEP_M, teacher
 
 def targets_on(path: torch.Tensor) -> Targets:
     length = torch.full((len(path),), path.shape[1])
-    return Targets(path, length, length)
+    return Targets(path, length, length, torch.zeros(len(path), dtype=torch.bool))
 
 
 def answers(

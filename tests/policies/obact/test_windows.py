@@ -49,7 +49,7 @@ def windows(
     n = LENGTH + LONGEST_FRAMES
     path = start + torch.arange(n)[:, None] * speed
     full = torch.full((b,), n)
-    targets = Targets(path, full, full)
+    targets = Targets(path, full, full, torch.zeros(b, dtype=torch.bool))
     state = torch.zeros(b, length, 18)
     view = camera().seen(path[:, :length]) + error
     sightings = torch.cat([view, torch.full((b, length, 2), -2.0)], dim=-1)[:, :, None]
@@ -219,7 +219,7 @@ def test_a_led_hand_reads_the_forecast_of_when_its_commands_take_effect(
         places = rows[..., None] + torch.tensor(FORECAST_FRAMES)
         return Forecast(rows[..., None].float(), places[..., None].expand(-1, -1, -1, 3).float())
 
-    def act_once(forecast: Forecast, palm: torch.Tensor) -> torch.Tensor:
+    def act_once(forecast: Forecast, palm: torch.Tensor, state: torch.Tensor) -> torch.Tensor:
         asked.append(float(forecast.places[0, 0, 0]))
         return torch.zeros(len(palm), 18)
 
@@ -235,7 +235,7 @@ def test_a_hand_that_the_policy_leads_follows_its_head(monkeypatch: pytest.Monke
     corner = torch.tensor([5.0, -5.0, 5.0])
     leader = hands()
     goal = torch.cat([corner, torch.zeros(15)])
-    monkeypatch.setattr(leader.model, "act_once", lambda f, palm: goal.expand(len(palm), 18))
+    monkeypatch.setattr(leader.model, "act_once", lambda f, palm, state: goal.expand(len(palm), 18))
     palm = leader.drawn(windows(begin=0), 1.0).frames.palm
     way = (palm[:, 1:] - palm[:, :-1]) / STEP_M
     wanted = torch.nn.functional.normalize(corner - palm[:, :-1], dim=-1)
@@ -267,10 +267,10 @@ def test_a_palm_is_rolled_out_from_when_the_first_command_takes_effect(late: int
     state[:, 10 + late, :3] = path[:, 10 + late]
     window = replace(
         window,
-        targets=Targets(path, full, full),
+        targets=Targets(path, full, full, torch.tensor([False])),
         frames=replace(window.frames, state=state),
     )
-    still = lambda forecast, palm: palm  # noqa: E731
+    still = lambda forecast, palm, state: palm  # noqa: E731
     assert rolled_out(window, still, 10, late=late) < 0.05
     assert rolled_out(window, still, 11, late=late) > 1
 
@@ -281,7 +281,7 @@ def test_the_closed_loop_loss_falls_where_the_head_learns_to_meet_the_target():
     goal = torch.zeros(3, requires_grad=True)
     path = torch.tensor([0.1, 0.05, -0.05]).expand(1, 200, 3)
     window = replace(window, targets=replace(window.targets, path=path))
-    head = lambda forecast, palm: goal.expand(1, 3)  # noqa: E731
+    head = lambda forecast, palm, state: goal.expand(1, 3)  # noqa: E731
     losses = fit([goal], lambda: rolled_out(window, head, PAST - 1), steps=60, rate=0.02)
     assert losses[0] > 1.0
     assert losses[-1] < 0.1

@@ -1,0 +1,193 @@
+"""The contact track: labels of the expert `match`, hands that grip, and what is learned of them."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+import torch
+from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
+from lerobot.datasets.factory import resolve_delta_timestamps
+from lerobot.utils.feature_utils import dataset_to_policy_features
+from lerobot_policy_obact import ObActConfig, ObActPolicy
+from lerobot_policy_obact.dataset import TargetTable
+from lerobot_policy_obact.frames import stepped
+from lerobot_policy_obact.grip import GRIP_M, Grip
+from lerobot_policy_obact.losses import window_losses
+from lerobot_policy_obact.teacher import Targets, Teacher
+from torch.utils.data import DataLoader, Dataset
+
+from dynahoi_lerobot.encode import encode
+from dynahoi_lerobot.experts.match import SEAT_M
+from tests.checkpoints import TINY_OBACT, observation
+from tests.tools import generated
+
+SEAT = torch.tensor(SEAT_M, dtype=torch.float32)
+OPTIONS = TINY_OBACT | {
+    "encoder": "",
+    "encoder_options": {},
+    "freeze_encoder": None,
+    "horizon": 4,
+    "n_obs_steps": 13,
+    "n_future_steps": 24,
+    "imitation_steps": 0,
+    "delayed_share": 0.0,
+    "device": "cpu",
+    "push_to_hub": False,
+}
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four encoded recordings of the contact track."""
+    folder = tmp_path_factory.mktemp("contact")
+    options = ("--capture", "contact", "--expert", "match", "--image-size", "96")
+    encode(generated(folder / "images", *options, episodes=4), folder / "encoded")
+    return folder / "encoded"
+
+
+def metadata(root: Path) -> LeRobotDatasetMetadata:
+    return LeRobotDatasetMetadata("local/contact", root=root)
+
+
+def learner(root: Path) -> ObActPolicy:
+    meta = metadata(root)
+    features = dataset_to_policy_features(meta.features)
+    outputs = {"action": features.pop("action")}
+    torch.manual_seed(0)
+    config = ObActConfig(**OPTIONS, input_features=features, output_features=outputs)
+    return ObActPolicy(config, dataset_stats=meta.stats, dataset_meta=meta).train()
+
+
+def recorded(policy: ObActPolicy, root: Path) -> Dataset:
+    times = resolve_delta_timestamps(policy.config, metadata(root))
+    return LeRobotDataset("local/contact", root=root, delta_timestamps=times)
+
+
+def batch_of(policy: ObActPolicy, root: Path) -> dict[str, torch.Tensor]:
+    """All frames of the recordings, in their order."""
+    data = recorded(policy, root)
+    return next(iter(DataLoader(data, batch_size=len(data))))
+
+
+def table_of(policy: ObActPolicy) -> TargetTable:
+    assert policy.targets is not None
+    return policy.targets
+
+
+def grip() -> Grip:
+    return Grip(20.0, 0.1, torch.zeros(15), torch.full((15,), 1.3), GRIP_M)
+
+
+def test_its_answers_are_the_goals_that_the_expert_recorded(root: Path):
+    policy = learner(root)
+    table = table_of(policy)
+    batch = batch_of(policy, root)
+    episode = batch["episode_index"]
+    frame = batch["frame_index"]
+    open_hand = (frame >= table.begin[episode]) & (frame < table.catch[episode])
+    assert open_hand.sum() > 20
+    now = policy.config.n_obs_steps - 1
+    palm = batch["observation.state"][open_hand, now, None, None, :3]
+    targets, _ = table.window(episode[open_hand], frame[open_hand], [0])
+    due = torch.zeros(len(palm), 1, dtype=torch.long)
+    told = table.teacher.answer(targets, due, palm, 1)
+    goals = batch["action"][open_hand, 0]
+    # a finger may have touched the target by then
+    torch.testing.assert_close(told.goal[:, 0, 0, 0], goals[:, :3], atol=2e-3, rtol=0)
+    joints = table.teacher.joints(told.closing[:, 0, 0, 0])
+    torch.testing.assert_close(joints, goals[:, 3:], atol=0.15, rtol=0)
+    assert told.closing.sum() == 4, "each hand closes in one frame"
+
+
+def test_a_hand_that_pursues_a_target_grips_it():
+    torch.manual_seed(0)
+    start = torch.tensor([0.3, 0.0, 0.0]) + 0.1 * torch.randn(64, 1, 3)
+    path = start + torch.arange(90)[:, None] * 0.015 * torch.rand(64, 1, 3)
+    way = [torch.zeros(64, 3)]
+    for t in range(80):
+        goal = grip().pursued(way[-1], path[:, t], path[:, t + 1])
+        way.append(stepped(way[-1], goal, 0.1))
+    caught = grip().caught(torch.stack(way, dim=1) - path[:, :81])
+    assert caught.any(1).float().mean() > 0.9
+    assert not caught[:, 0].any(), "far from it, nothing is caught"
+
+
+def test_a_palm_that_passes_its_target_meets_it_but_does_not_grip_it():
+    frames = torch.arange(-5, 6)[:, None]
+    passes = frames * torch.tensor([0.0, 0.04, 0.0])
+    stays = (frames.abs() > 2) * torch.tensor([0.0, 0.2, 0.0])
+    hand = grip()
+    meets = Teacher(hand.fps, hand.step_m, hand.open_joints, hand.closed_joints, 0.03)
+    assert float(meets.misses(passes[None]).min()) < 0.001
+    assert float(hand.misses((passes - SEAT)[None]).min()) == pytest.approx(0.04, abs=1e-4)
+    assert float(hand.misses((stays - SEAT)[None]).min()) < 0.001
+
+
+def test_before_the_grip_a_target_goes_its_way_and_then_it_goes_with_the_hand(root: Path):
+    table = table_of(learner(root))
+    truth = pq.read_table(root / "meta" / "privileged").to_pandas().set_index("episode_index")
+    places = torch.tensor(truth.loc[0].sort_values("frame_index")["target.pose"].tolist())[:, :3]
+    catch = int(table.catch[0])
+    newest = torch.tensor([catch - 1, catch])
+    targets, _ = table.window(torch.zeros(2, dtype=torch.long), newest, [-1, 0, 1, 2, 3, 4])
+    assert targets.held.tolist() == [False, True]
+    torch.testing.assert_close(targets.path[0, :6], table.path[0, catch - 2 : catch + 4])
+    torch.testing.assert_close(targets.path[1, :6], places[catch - 1 : catch + 5].float())
+    ways = table.path[0, catch + 20] - places[catch + 20]
+    assert ways.norm() > 0.02, "the two are different"
+
+
+def test_a_hand_that_grips_is_shown_as_it_was_and_learns_what_it_did(root: Path):
+    policy = learner(root)
+    window = policy._window(batch_of(policy, root))
+    targets = window.targets
+    assert isinstance(targets, Targets)
+    assert 0.2 < targets.held.float().mean() < 0.9
+    held = window[targets.held]
+    torch.manual_seed(0)
+    shown = policy._with_hands(held)
+    torch.testing.assert_close(shown.frames.state, held.repeated(2).frames.state)
+    row = policy.config.n_obs_steps
+    seen = held.repeated(2).frames.sightings
+    torch.testing.assert_close(shown.frames.sightings[:, :row], seen[:, :row], atol=1e-3, rtol=1e-3)
+    losses = {}
+    for name, change_m in (("as recorded", 0.0), ("elsewhere", 0.5)):
+        for whose, some in (("held", held), ("free", window[~targets.held])):
+            moved = replace(some, actions=some.actions + change_m)
+            torch.manual_seed(0)
+            found = window_losses(policy.model, moved, table_of(policy).teacher)
+            losses[whose, name] = float(found["action"].mean())
+    assert losses["held", "elsewhere"] > 2 * losses["held", "as recorded"]
+    assert losses["free", "elsewhere"] == losses["free", "as recorded"], "the expert's labels"
+
+
+def test_virtual_hands_are_open_until_they_grip(root: Path):
+    policy = learner(root)
+    window = policy._window(batch_of(policy, root))
+    assert window.targets is not None
+    free = window[~window.targets.held]
+    torch.manual_seed(0)
+    shown = policy._with_hands(free)
+    moved = (shown.frames.palm - free.repeated(2).frames.palm).norm(dim=-1).amax(1) > 0.01
+    assert moved.float().mean() > 0.4
+    opened = table_of(policy).teacher.open_joints.expand_as(shown.frames.state[moved][..., 3:])
+    torch.testing.assert_close(shown.frames.state[moved][..., 3:], opened)
+
+
+def test_a_training_rolls_palms_out_and_its_checkpoint_acts_without_the_expert(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    policy = learner(root)
+    loss, logged = policy.forward(batch_of(policy, root))
+    loss.backward()
+    assert logged["closed_loop"] > 0
+    policy.save_pretrained(tmp_path)
+    monkeypatch.setitem(sys.modules, "dynahoi_lerobot.experts.match", None)
+    monkeypatch.delitem(sys.modules, "lerobot_policy_obact.grip")
+    opened = ObActPolicy.from_pretrained(tmp_path)
+    batch = observation(opened.config, 2, 0)
+    assert opened.select_action(batch).shape == (2, 18)
+    with pytest.raises(ImportError, match=r"install lerobot_policy_obact\[contact\]"):
+        learner(root)
