@@ -11,7 +11,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from dynahoi_lerobot.experts.match import HELD_M, SEAT_M, SQUEEZE_RAD, STEP_M, approach
+from dynahoi_lerobot.experts.match import HELD_M, HELD_SHARE, SEAT_M, SQUEEZE_RAD, STEP_M, approach
 
 from .teacher import Answers, Targets, Teacher
 
@@ -60,6 +60,14 @@ class Grip(Teacher):
         from_seat = self._from_seat(offsets)
         _, closes = _approach(from_seat[:, :-1])
         return closes & (from_seat[:, 1:].norm(dim=-1) < HELD_M)
+
+    def holds(self, offsets: Tensor, joints: Tensor) -> Tensor:
+        """See `Teacher.holds`: as the expert takes it, if fingers are closed and the target is near
+        its seat.
+        """
+        turned = (joints - self.open_joints.to(joints)).norm(dim=-1)
+        closed = turned > HELD_SHARE * (self.closed_joints - self.open_joints).norm()
+        return closed[..., None] & (self._from_seat(offsets).norm(dim=-1) < HELD_M)
 
     def pursued(self, palm: Tensor, place: Tensor, next_place: Tensor) -> Tensor:
         """See `Teacher.pursued`: along with the target, and closer to it."""

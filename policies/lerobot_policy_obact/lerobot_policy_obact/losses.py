@@ -110,12 +110,15 @@ def decision_losses(
     repeated = replace(forecast.later(delay), attention=None).map(
         lambda x: repeat(x, "b q ... -> (b q m) ...", m=n_palms)
     )
-    state = repeat(gather_frames(window.frames.state, rows), "b q s -> (b q m) s", m=n_palms)
-    context, origin = model.condition(repeated, palms.flatten(0, 2), state)
+    state = gather_frames(window.frames.state, rows)
+    states = repeat(state, "b q s -> (b q m) s", m=n_palms)
+    context, origin = model.condition(repeated, palms.flatten(0, 2), states)
     actions = torch.cat([answers.goal, teacher.joints(answers.closing)], dim=-1)
     weight = torch.where(answers.reachable, 1.0, UNREACHABLE_WEIGHT)
     # nothing is decided that would take effect after the catch
     weight = weight * (rows + delay < targets.catch[:, None])[..., None]
+    offsets = palms - targets.places(due[..., None])
+    weight = weight * ~teacher.holds(offsets, state[..., 3:])
     weight = repeat(weight, "b q m -> b q m h", h=model.config.horizon)
     # a hand that grips the target goes on as it was recorded
     actions = torch.where(held[..., None], window.actions[:, None, None], actions).flatten(0, 2)

@@ -111,6 +111,16 @@ class Teacher:
         """
         return self.misses(offsets) < self.radius_m
 
+    def holds(self, offsets: Tensor, joints: Tensor) -> Tensor:
+        """Return whether hands hold their targets, which a teacher of catching says nothing about:
+        never, here.
+
+        Args:
+            offsets: of palms from targets [m], ``(B, Q, M, 3)``.
+            joints: of the hands [rad], ``(B, Q, J)``.
+        """
+        return torch.zeros_like(offsets[..., 0], dtype=torch.bool)
+
     def pursued(self, palm: Tensor, place: Tensor, next_place: Tensor) -> Tensor:
         """Return where palms ``(B, 3)`` go that pursue targets which are at ``place`` now and at
         ``next_place`` a frame later [m]: to that.

@@ -93,7 +93,7 @@ class VirtualHands:
         shown = _shown_later(window, (room * torch.rand(b, device=device)).long() * later)
         donors = Donors(window, self.model.forecaster.cameras)
         if self.teacher.grips:
-            shown = _opened(shown, virtual, self.teacher.open_joints)
+            shown = _with_fingers(shown, virtual, self.teacher)
         shown = self._with_palm(shown, donors, self._ways(shown, donors, virtual, later))
         assert shown.targets is not None
         catch = torch.where(virtual, self._catch(shown), targets.catch)
@@ -280,11 +280,15 @@ def _shown_later(window: Window, frames: Tensor) -> Window:
     return replace(window, frames=seen, begin=window.begin - frames, targets=later)
 
 
-def _opened(window: Window, virtual: Tensor, open_joints: Tensor) -> Window:
-    """Return windows in which virtual hands are open: until they catch, all there is to decide."""
+def _with_fingers(window: Window, virtual: Tensor, teacher: Teacher) -> Window:
+    """Return windows in which the fingers of virtual hands are open, closed or between, for no
+    reason: a hand that has closed around nothing must open again.
+    """
     state = window.frames.state
-    opened = torch.cat([state[..., :3], open_joints.to(state).expand(*state.shape[:2], -1)], dim=-1)
-    state = torch.where(virtual[:, None, None], opened, state)
+    closing = (2 * torch.rand(len(state), 1, device=state.device) - 0.5).clamp(0, 1)
+    joints = teacher.joints(closing).to(state).expand(-1, state.shape[1], -1)
+    shown = torch.cat([state[..., :3], joints], dim=-1)
+    state = torch.where(virtual[:, None, None], shown, state)
     return replace(window, frames=replace(window.frames, state=state))
 
 
