@@ -287,7 +287,8 @@ class TargetTable:
         if grips:
             catch += 1  # fingers that are told to close in a frame are closed in the next
             places = torch.tensor(np.array(truth[TARGET_POSE], np.float32)[:, :3])
-            track = torch.nn.utils.rnn.pad_sequence(places.split(count.tolist()), batch_first=True)
+            tracks = list(places.split(count.tolist()))
+            track = torch.nn.utils.rnn.pad_sequence(tracks, batch_first=True)
         learned = count if grips else catch
         return cls(
             path=torch.nn.utils.rnn.pad_sequence(paths, batch_first=True),

@@ -42,6 +42,9 @@ LATER_SHARE = 0.1
 recorded. A recording ends soon after the catch, so none shows what follows a miss."""
 LATER_M = 0.1  # standard deviation of their palms from the target, along each axis
 LATER_FRAMES = 4  # of a path that are still to come, at least, after such a window
+CLOSED_SHARE = 0.15
+"""Share of the virtual hands that are closed and hold nothing. With half of them, more or less
+closed, a policy let go of what it held; with none, it never opened again."""
 PUSHED_SHARE, PUSH_M, PUSH_POWER, CHANGE_SHARE = 0.5, 0.15, 1.5, 0.12
 """Share of the virtual hands that are pushed off their way, the greatest standard deviation of the
 pushes along each axis, which is drawn as this power of a uniform number (small pushes are the more
@@ -281,12 +284,12 @@ def _shown_later(window: Window, frames: Tensor) -> Window:
 
 
 def _with_fingers(window: Window, virtual: Tensor, teacher: Teacher) -> Window:
-    """Return windows in which the fingers of virtual hands are open, closed or between, for no
-    reason: a hand that has closed around nothing must open again.
+    """Return windows in which the fingers of virtual hands are open, or closed around nothing, in
+    `CLOSED_SHARE` of them: such a hand must open again.
     """
     state = window.frames.state
-    closing = (2 * torch.rand(len(state), 1, device=state.device) - 0.5).clamp(0, 1)
-    joints = teacher.joints(closing).to(state).expand(-1, state.shape[1], -1)
+    closed = _chance(CLOSED_SHARE, len(state), state.device)[:, None]
+    joints = teacher.joints(closed.to(state)).expand(-1, state.shape[1], -1)
     shown = torch.cat([state[..., :3], joints], dim=-1)
     state = torch.where(virtual[:, None, None], shown, state)
     return replace(window, frames=replace(window.frames, state=state))
