@@ -55,11 +55,9 @@ class Grip(Teacher):
         apart = (self._from_seat(offsets).square().sum(-1) + 1e-10).sqrt()
         return apart.unfold(1, STILL_FRAMES, 1).mean(-1)
 
-    def caught(self, offsets: Tensor) -> Tensor:
-        """See `Teacher.caught`: fingers close, and the target is near its seat a frame later."""
-        from_seat = self._from_seat(offsets)
-        _, closes = _approach(from_seat[:, :-1])
-        return closes & (from_seat[:, 1:].norm(dim=-1) < HELD_M)
+    def caught(self, offsets: Tensor, joints: Tensor) -> Tensor:
+        """See `Teacher.caught`: a hand that `holds` its target has caught it."""
+        return self.holds(offsets[:, 1:, None], joints[:, 1:])[..., 0]
 
     def holds(self, offsets: Tensor, joints: Tensor) -> Tensor:
         """See `Teacher.holds`: as the expert takes it, if fingers are closed and the target is near
@@ -69,10 +67,11 @@ class Grip(Teacher):
         closed = turned > HELD_SHARE * (self.closed_joints - self.open_joints).norm()
         return closed[..., None] & (self._from_seat(offsets).norm(dim=-1) < HELD_M)
 
-    def pursued(self, palm: Tensor, place: Tensor, next_place: Tensor) -> Tensor:
-        """See `Teacher.pursued`: along with the target, and closer to it."""
-        offset, _ = _approach(self._from_seat(palm - place))
-        return next_place - palm.new_tensor(SEAT_M) + offset
+    def pursued(self, state: Tensor, place: Tensor, next_place: Tensor) -> Tensor:
+        """See `Teacher.pursued`: along with the target, closer to it, and then closed."""
+        offset, closes = _approach(self._from_seat(state[:, :3] - place))
+        palm = next_place - state.new_tensor(SEAT_M) + offset
+        return torch.cat([palm, self.joints(closes.to(state))], dim=-1)
 
     def joints(self, closing: Tensor) -> Tensor:
         """See `Teacher.joints`: closed farther than fingers around a target can, which makes them

@@ -175,9 +175,8 @@ def closed_loop_loss(
     # a palm passes the target between a frame and the next one, which must be known as well
     known = (due[:, :-1] < targets.length[:, None] - 1) & (due[:, :-1] < n_frames)
     path = gather_frames(targets.path, due.clamp_max(targets.path.shape[1] - 1))
-    palm = gather_frames(window.frames.palm, due[:, :1].clamp_max(n_frames - 1))
-    state = gather_frames(window.frames.state, rows[:, 0])
-    way = rolled_out(model, forecast, palm, state)
+    state = gather_frames(window.frames.state, due[:, :1].clamp_max(n_frames - 1))
+    way = palm_of(rolled_out(model, forecast, state))
     misses = teacher.misses(way - path)  # (B, R')
     known = known[:, : misses.shape[1]] & ~targets.held[:, None]
     least = misses.masked_fill(~known, torch.inf).amin(1)

@@ -187,30 +187,32 @@ def rolled_out(
     model: ObActModel,
     forecast: Forecast,
     way: Tensor,
-    state: Tensor,
     *,
     begin: Tensor | None = None,
     pushes: Tensor | None = None,
 ) -> Tensor:
-    """Return the way ``(B, W + R, 3)`` [m] of palms that follow the head through R decisions.
+    """Return the states ``(B, W + R, S)`` of hands that follow the head through R decisions: where
+    their palms are [m], and, if these must grip, their fingers; the rest stays as it is.
 
     Args:
         model: whose head it is.
         forecast: of the decisions, ``(B, R)``.
-        way: of the palm until the first of these takes effect [m], ``(B, W, 3)``.
-        state: of the robot at the first, ``(B, S)``, whose fingers stay as they are.
-        begin: the decision from which on the palm moves, ``(B,)``; by default the first.
+        way: states until the first of these takes effect, ``(B, W, S)``.
+        begin: the decision from which on the hand moves, ``(B,)``; by default the first.
         pushes: by which goals are off, ``(B, R', 3)`` [m], R' >= R.
     """
     ways = [*way.unbind(1)]
     step_m = model.config.embodiment.step_m
     for r in range(forecast.features.shape[1]):
-        palm = ways[-1]
-        goal = palm_of(model.act_once(forecast[:, r], palm, state))
+        state = ways[-1]
+        palm = state[:, :3]
+        action = model.act_once(forecast[:, r], palm, state)
+        goal = palm_of(action)
         if pushes is not None:
             goal = goal + pushes[:, r]
-        moved = stepped(palm, goal, step_m)
-        ways.append(moved if begin is None else torch.where((begin <= r)[:, None], moved, palm))
+        rest = action if model.config.grips else state
+        moved = torch.cat([stepped(palm, goal, step_m), rest[:, 3:]], dim=-1)
+        ways.append(moved if begin is None else torch.where((begin <= r)[:, None], moved, state))
     return torch.stack(ways, dim=1)
 
 

@@ -105,9 +105,9 @@ class Teacher:
         """
         return passing_distance(offsets[:, :-1], offsets[:, 1:])
 
-    def caught(self, offsets: Tensor) -> Tensor:
-        """Return whether palms at ``offsets`` ``(B, R, 3)`` [m] from their targets catch them, from
-        frame to frame, ``(B, R - 1)``.
+    def caught(self, offsets: Tensor, joints: Tensor) -> Tensor:
+        """Return whether hands whose palms are at ``offsets`` ``(B, R, 3)`` [m] from their targets,
+        and whose joints ``(B, R, J)`` [rad], catch them from frame to frame, ``(B, R - 1)``.
         """
         return self.misses(offsets) < self.radius_m
 
@@ -121,11 +121,11 @@ class Teacher:
         """
         return torch.zeros_like(offsets[..., 0], dtype=torch.bool)
 
-    def pursued(self, palm: Tensor, place: Tensor, next_place: Tensor) -> Tensor:
-        """Return where palms ``(B, 3)`` go that pursue targets which are at ``place`` now and at
-        ``next_place`` a frame later [m]: to that.
+    def pursued(self, state: Tensor, place: Tensor, next_place: Tensor) -> Tensor:
+        """Return the goals ``(B, S)`` of hands in states ``(B, S)`` that pursue targets, which are
+        at ``place`` now and at ``next_place`` a frame later [m]: to be there.
         """
-        return next_place
+        return torch.cat([next_place, state[:, 3:]], dim=-1)
 
     def joints(self, closing: Tensor) -> Tensor:
         """Return commands to the joints [rad], ``(..., J)``, of hands that should be closed by

@@ -17,7 +17,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from .camera import Pinhole
 from .configuration_obact import ObActConfig
@@ -42,9 +42,6 @@ LATER_SHARE = 0.1
 recorded. A recording ends soon after the catch, so none shows what follows a miss."""
 LATER_M = 0.1  # standard deviation of their palms from the target, along each axis
 LATER_FRAMES = 4  # of a path that are still to come, at least, after such a window
-CLOSED_SHARE = 0.15
-"""Share of the virtual hands that are closed and hold nothing. With half of them, more or less
-closed, a policy let go of what it held; with none, it never opened again."""
 PUSHED_SHARE, PUSH_M, PUSH_POWER, CHANGE_SHARE = 0.5, 0.15, 1.5, 0.12
 """Share of the virtual hands that are pushed off their way, the greatest standard deviation of the
 pushes along each axis, which is drawn as this power of a uniform number (small pushes are the more
@@ -95,9 +92,7 @@ class VirtualHands:
         room = (known - n - LATER_FRAMES).clamp_min(0)
         shown = _shown_later(window, (room * torch.rand(b, device=device)).long() * later)
         donors = Donors(window, self.model.forecaster.cameras)
-        if self.teacher.grips:
-            shown = _with_fingers(shown, virtual, self.teacher)
-        shown = self._with_palm(shown, donors, self._ways(shown, donors, virtual, later))
+        shown = self._with_state(shown, donors, self._ways(shown, donors, virtual, later))
         assert shown.targets is not None
         catch = torch.where(virtual, self._catch(shown), targets.catch)
         return replace(shown, targets=replace(shown.targets, catch=catch))
@@ -107,22 +102,23 @@ class VirtualHands:
         not, the last one that is known.
         """
         targets = window.targets
-        palm = window.frames.palm
+        state = window.frames.state
         assert targets is not None
-        frame = torch.arange(palm.shape[1] - 1, device=palm.device)
-        caught = self.teacher.caught(palm - targets.path[:, : palm.shape[1]])
+        frame = torch.arange(state.shape[1] - 1, device=state.device)
+        offsets = window.frames.palm - targets.path[:, : state.shape[1]]
+        caught = self.teacher.caught(offsets, state[..., 3:])
         caught &= frame >= window.begin[:, None]
         first = torch.where(caught, frame + 1, targets.length[:, None])
         return torch.cat([first, targets.length[:, None]], dim=1).amin(1)
 
     def _ways(self, window: Window, donors: Donors, virtual: Tensor, later: Tensor) -> Tensor:
-        """Return the ways of the palms ``(B, L, 3)`` [m].
+        """Return the states of the hands, ``(B, L, S)``.
 
         Virtual hands go along the recorded way or in pursuit; led ones follow what they would have
         seen on such a way.
         """
         embodiment, (b, n) = self.config.embodiment, window.recorded.shape
-        recorded_palm = window.frames.palm
+        recorded = window.frames.state
         begin = window.begin
         device = window.begin.device
         assert window.targets is not None
@@ -131,28 +127,27 @@ class VirtualHands:
         spread_m = PUSH_M * torch.rand(b, 1, device=device) ** PUSH_POWER
         spread_m = spread_m * (virtual & _chance(PUSHED_SHARE, b, device))[:, None]
         near = path[:, 0] + LATER_M * torch.randn(b, 3, device=device)
-        start = torch.where(later[:, None], near, recorded_palm[:, 0])
+        start = torch.where(later[:, None], near, recorded[:, 0, :3])
         moved = start + spread_m * torch.randn(b, 3, device=device)
-        start = torch.where((begin > 0)[:, None], recorded_palm[:, 0], moved)
+        start = torch.where((begin > 0)[:, None], recorded[:, 0, :3], moved)
         pushes = self._pushes(spread_m, begin, n)
         follows = (_chance(RECORDED_SHARE, b, device) & ~later)[:, None]
-        way = [start]
+        away = nn.functional.pad(start - recorded[:, 0, :3], (0, recorded.shape[-1] - 3))
+        way = [recorded[:, 0] + away]
         for t in range(n - 1):
-            along = recorded_palm[:, t + 1] + start - recorded_palm[:, 0]
+            along = recorded[:, t + 1] + away
             pursued = self.teacher.pursued(way[-1], path[:, t], path[:, t + 1])
             goal = torch.where(follows & donors.usable[:, t + 1, None], along, pursued)
-            palm = stepped(way[-1], goal + pushes[:, t], embodiment.step_m)
-            way.append(torch.where((begin + delay <= t)[:, None], palm, way[-1]))
-        ways = torch.where(virtual[:, None, None], torch.stack(way, dim=1), recorded_palm)
+            palm = stepped(way[-1][:, :3], goal[:, :3] + pushes[:, t], embodiment.step_m)
+            state = torch.cat([palm, goal[:, 3:]], dim=-1)
+            way.append(torch.where((begin + delay <= t)[:, None], state, way[-1]))
+        ways = torch.where(virtual[:, None, None], torch.stack(way, dim=1), recorded)
         led = virtual & _chance(LED_SHARE, b, device)
-        seen = self._with_palm(window, donors, ways).frames[led]
+        seen = self._with_state(window, donors, ways).frames[led]
         rows = torch.arange(max(0, n - 1 - delay), device=device).expand(len(seen.state), -1)
         forecast = self.model.encode_history(seen, rows).later(delay)
         start = ways[led, : delay + 1]
-        state = seen.state[:, 0]
-        ways[led] = rolled_out(
-            self.model, forecast, start, state, begin=begin[led], pushes=pushes[led]
-        )
+        ways[led] = rolled_out(self.model, forecast, start, begin=begin[led], pushes=pushes[led])
         return ways
 
     def _pushes(self, spread_m: Tensor, begin: Tensor, n: int) -> Tensor:
@@ -168,14 +163,11 @@ class VirtualHands:
             pushes.append(torch.where(changes, fresh, pushes[-1]) if pushes else fresh)
         return torch.stack(pushes, dim=1)
 
-    def _with_palm(self, window: Window, donors: Donors, palm: Tensor) -> Window:
-        """Return what hands would have seen whose palms are at ``(B, L, 3)`` [m]."""
+    def _with_state(self, window: Window, donors: Donors, state: Tensor) -> Window:
+        """Return what hands would have seen in states ``(B, L, S)``."""
         assert window.targets is not None
-        frames = window.frames
-        n = palm.shape[1]
-        state = torch.cat([palm, frames.state[..., 3:]], dim=-1)
-        seen = donors.seen(window.targets.path[:, :n], palm)
-        return replace(window, frames=replace(frames, sightings=seen, state=state))
+        seen = donors.seen(window.targets.path[:, : state.shape[1]], state[..., :3])
+        return replace(window, frames=replace(window.frames, sightings=seen, state=state))
 
 
 class Donors:
@@ -281,18 +273,6 @@ def _shown_later(window: Window, frames: Tensor) -> Window:
         hidden = row < (hidden.sum(1) - frames)[:, None]
     seen = replace(window.frames, hidden=hidden)
     return replace(window, frames=seen, begin=window.begin - frames, targets=later)
-
-
-def _with_fingers(window: Window, virtual: Tensor, teacher: Teacher) -> Window:
-    """Return windows in which the fingers of virtual hands are open, or closed around nothing, in
-    `CLOSED_SHARE` of them: such a hand must open again.
-    """
-    state = window.frames.state
-    closed = _chance(CLOSED_SHARE, len(state), state.device)[:, None]
-    joints = teacher.joints(closed.to(state)).expand(-1, state.shape[1], -1)
-    shown = torch.cat([state[..., :3], joints], dim=-1)
-    state = torch.where(virtual[:, None, None], shown, state)
-    return replace(window, frames=replace(window.frames, state=state))
 
 
 def _chance(share: float, n: int, device: torch.device) -> Tensor:

@@ -12,10 +12,12 @@ from lerobot.datasets.factory import resolve_delta_timestamps
 from lerobot.utils.feature_utils import dataset_to_policy_features
 from lerobot_policy_obact import ObActConfig, ObActPolicy
 from lerobot_policy_obact.dataset import TargetTable
+from lerobot_policy_obact.forecaster import Forecast
 from lerobot_policy_obact.frames import stepped
 from lerobot_policy_obact.grip import GRIP_M, Grip
 from lerobot_policy_obact.losses import window_losses
 from lerobot_policy_obact.teacher import Targets, Teacher
+from lerobot_policy_obact.windows import VirtualHands
 from torch.utils.data import DataLoader
 
 from dynahoi_lerobot.encode import encode
@@ -105,11 +107,14 @@ def test_a_hand_that_pursues_a_target_grips_it():
     torch.manual_seed(0)
     start = torch.tensor([0.3, 0.0, 0.0]) + 0.1 * torch.randn(64, 1, 3)
     path = start + torch.arange(90)[:, None] * 0.015 * torch.rand(64, 1, 3)
-    way = [torch.zeros(64, 3)]
+    hand = grip()
+    way = [torch.cat([torch.zeros(64, 3), hand.open_joints.expand(64, -1)], dim=1)]
     for t in range(80):
-        goal = grip().pursued(way[-1], path[:, t], path[:, t + 1])
-        way.append(stepped(way[-1], goal, 0.1))
-    caught = grip().caught(torch.stack(way, dim=1) - path[:, :81])
+        goal = hand.pursued(way[-1], path[:, t], path[:, t + 1])
+        palm = stepped(way[-1][:, :3], goal[:, :3], 0.1)
+        way.append(torch.cat([palm, goal[:, 3:]], dim=1))
+    states = torch.stack(way, dim=1)
+    caught = hand.caught(states[..., :3] - path[:, :81], states[..., 3:])
     assert caught.any(1).float().mean() > 0.9
     assert not caught[:, 0].any(), "far from it, nothing is caught"
 
@@ -184,22 +189,35 @@ def test_recordings_alone_teach_what_a_hand_does_that_holds_its_target(root: Pat
     assert (losses[held] != 0).any()
 
 
-def test_some_virtual_hands_are_closed_around_nothing_and_the_others_open(root: Path):
-    """Or a hand that has missed would take its target for held."""
+@pytest.mark.parametrize("far", [True, False])
+def test_fingers_of_led_hands_follow_the_head(root: Path, monkeypatch, *, far: bool):
+    """One that closes them far from its target does not hold it; near it, it has caught it."""
+    monkeypatch.setattr("lerobot_policy_obact.windows.LED_SHARE", 1.0)
+    monkeypatch.setattr("lerobot_policy_obact.windows.PUSHED_SHARE", 0.0)
     policy = learner(root)
     window = policy._window(batch_of(policy, root))
     assert window.targets is not None
-    free = window[~window.targets.held].repeated(4)
-    torch.manual_seed(0)
-    shown = policy._with_hands(free)
-    moved = (shown.frames.palm - free.repeated(2).frames.palm).norm(dim=-1).amax(1) > 0.01
-    assert moved.float().mean() > 0.4
+    free = window[~window.targets.held & (window.begin < 3)]
     teacher = table_of(policy).teacher
-    joints = shown.frames.state[moved][..., 3:]
-    closed = joints[:, 0].sub(teacher.open_joints).abs().sum(-1) > 0.1
-    assert 0.08 < closed.float().mean() < 0.25
-    wanted = teacher.joints(closed.float()[:, None].expand(joints.shape[:2]))
-    torch.testing.assert_close(joints, wanted)
+    closed = teacher.joints(torch.ones(()))
+
+    def act_once(forecast: Forecast, palm: torch.Tensor, state: torch.Tensor) -> torch.Tensor:
+        goal = palm - 1.0 if far else palm
+        return torch.cat([goal, closed.expand(len(palm), -1)], dim=-1)
+
+    monkeypatch.setattr(policy.acting, "act_once", act_once)
+    if not far:  # targets that wait in the seats of their hands
+        path = free.frames.palm[:, :1] + SEAT
+        path = path.expand_as(free.targets.path)
+        free = replace(free, targets=replace(free.targets, path=path))
+    hands = VirtualHands(policy.config, teacher, policy.acting)
+    torch.manual_seed(0)
+    shown = hands.drawn(free, 1.0)
+    assert shown.targets is not None
+    joints = shown.frames.state[..., 3:]
+    torch.testing.assert_close(joints[:, -1], closed.expand_as(joints[:, -1]))
+    caught = shown.targets.catch < joints.shape[1]
+    assert caught.float().mean() < 0.2 if far else caught.float().mean() > 0.8
 
 
 def test_a_training_rolls_palms_out_and_its_checkpoint_acts_without_the_expert(

@@ -247,7 +247,7 @@ def test_a_hand_that_the_policy_leads_follows_its_head(monkeypatch: pytest.Monke
 
 def rolled_out(window: Window, head, first: int, late: int = 0) -> torch.Tensor:
     """The loss of a head in windows whose palms are rolled out from frame ``first`` on."""
-    config = SimpleNamespace(embodiment=Embodiment(palm_speed_m_s=0.5))
+    config = SimpleNamespace(embodiment=Embodiment(palm_speed_m_s=0.5), grips=False)
     window = replace(window, delay_frames=late)
     model = SimpleNamespace(config=config, act_once=head)
     b = len(window.begin)
