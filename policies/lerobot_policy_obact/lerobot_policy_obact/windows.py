@@ -17,7 +17,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from .camera import Pinhole
 from .configuration_obact import ObActConfig
@@ -132,10 +132,10 @@ class VirtualHands:
         start = torch.where((begin > 0)[:, None], recorded[:, 0, :3], moved)
         pushes = self._pushes(spread_m, begin, n)
         follows = (_chance(RECORDED_SHARE, b, device) & ~later)[:, None]
-        away = nn.functional.pad(start - recorded[:, 0, :3], (0, recorded.shape[-1] - 3))
-        way = [recorded[:, 0] + away]
+        way = [torch.cat([start, recorded[:, 0, 3:]], dim=-1)]
         for t in range(n - 1):
-            along = recorded[:, t + 1] + away
+            palm = recorded[:, t + 1, :3] + start - recorded[:, 0, :3]
+            along = torch.cat([palm, recorded[:, t + 1, 3:]], dim=-1)
             pursued = self.teacher.pursued(way[-1], path[:, t], path[:, t + 1])
             goal = torch.where(follows & donors.usable[:, t + 1, None], along, pursued)
             palm = stepped(way[-1][:, :3], goal[:, :3] + pushes[:, t], embodiment.step_m)
