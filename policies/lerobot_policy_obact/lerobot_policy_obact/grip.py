@@ -6,8 +6,6 @@ it.
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import torch
 from torch import Tensor
 
@@ -26,8 +24,6 @@ class Grip(Teacher):
 
     What to do with a target in the hand is not its business: recorded actions teach that.
     """
-
-    grips: ClassVar[bool] = True
 
     def answer(self, targets: Targets, due: Tensor, palms: Tensor, horizon: int) -> Answers:
         """See `Teacher.answer`; every target can be reached."""

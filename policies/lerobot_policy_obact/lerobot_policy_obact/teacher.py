@@ -7,7 +7,7 @@ several palms at once, and the teacher answers for all of them.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import torch
 from einops import repeat
@@ -73,7 +73,6 @@ class Teacher:
     open_joints: Tensor  # of the hand [rad], (J,)
     closed_joints: Tensor  # of the hand [rad], (J,)
     radius_m: float  # a target is caught where `misses` returns less [m]
-    grips: ClassVar[bool] = False  # whether fingers must hold the target
 
     def answer(self, targets: Targets, due: Tensor, palms: Tensor, horizon: int) -> Answers:
         """Return what to do with palms ``(B, Q, M, 3)`` [m] in frames ``due`` ``(B, Q)``.
