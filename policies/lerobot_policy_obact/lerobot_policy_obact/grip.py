@@ -1,7 +1,7 @@
 """What a hand should do about a target that its fingers must hold. Training only.
 
-The expert `match` of dynahoi_lerobot says so, wherever the palm is: the extra ``contact`` installs
-it.
+The answers are those of dynahoi_lerobot's expert `match`, from wherever the palm is. The extra
+``contact`` installs it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ STILL_FRAMES = 4
 class Grip(Teacher):
     """Come up from behind the target, move along with it and close the fingers.
 
-    What to do with a target in the hand is not its business: recorded actions teach that.
+    Recorded actions teach what to do with a target in the hand.
     """
 
     def answer(self, targets: Targets, due: Tensor, palms: Tensor, horizon: int) -> Answers:

@@ -42,7 +42,8 @@ class Targets(Record):
     path: Tensor  # [m], (B, F, 3)
     length: Tensor  # known frames of that, (B,)
     catch: Tensor  # the frame in which the hand has caught them; nothing is decided after it, (B,)
-    # whether a recorded hand grips them in the current frame: its actions go on, (B,)
+    # whether the recorded hand grips them in the current frame, so that its actions are learned,
+    # (B,)
     held: Tensor
 
     def places(self, frame: Tensor) -> Tensor:
@@ -111,8 +112,8 @@ class Teacher:
         return self.misses(offsets) < self.radius_m
 
     def holds(self, offsets: Tensor, joints: Tensor) -> Tensor:
-        """Return whether hands hold their targets, which a teacher of catching says nothing about:
-        never, here.
+        """Return whether hands hold their targets, ``(B, Q, M)``; such decisions get no label. Here
+        never: a target is caught by coming near.
 
         Args:
             offsets: of palms from targets [m], ``(B, Q, M, 3)``.
@@ -121,8 +122,8 @@ class Teacher:
         return torch.zeros_like(offsets[..., 0], dtype=torch.bool)
 
     def pursued(self, state: Tensor, place: Tensor, next_place: Tensor) -> Tensor:
-        """Return the goals ``(B, S)`` of hands in states ``(B, S)`` that pursue targets, which are
-        at ``place`` now and at ``next_place`` a frame later [m]: to be there.
+        """Return the goals ``(B, S)`` of hands in states ``(B, S)`` that pursue targets. These are
+        at ``place`` now and at ``next_place`` a frame later [m], where the palm goes.
         """
         return torch.cat([next_place, state[:, 3:]], dim=-1)
 
