@@ -7,36 +7,78 @@ The answers are those of dynahoi_lerobot's expert `match`, from wherever the pal
 from __future__ import annotations
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from dynahoi_lerobot.experts.match import HELD_M, HELD_SHARE, SEAT_M, SQUEEZE_RAD, STEP_M, approach
+from dynahoi_lerobot.experts.match import (
+    BRAKE_SHARE,
+    HELD_M,
+    HELD_SHARE,
+    LIFT_M_S,
+    SEAT_M,
+    SQUEEZE_RAD,
+    STEP_M,
+    approach,
+)
 
+from .frames import palm_of
 from .teacher import Answers, Targets, Teacher
 
 GRIP_M = 0.015
 """A target that stays so near its seat in the hand, while fingers close, is gripped."""
 STILL_FRAMES = 4
 """The palm must stay with the target for so long, which fingers take to close around it."""
+HELD_FRAMES = 3
+"""A virtual hand has caught a target that it holds for so long, and until then learns to close its
+fingers all the way. Not longer: its target is not carried, but goes on by itself."""
+BEGUN_SHARE, BEGUN_M = 0.2, 0.035
+"""Fingers that are closed by more than this share close all the way, with the target so near its
+seat. The expert's never are halfway; a policy's, which averages over what it does not know, are,
+and would stay there."""
+DRAWN_SHARE = 0.5
+"""Share of a decision's other hands whose fingers are closed at random, so that the policy does not
+go by how far it has closed its own."""
 
 
 class Grip(Teacher):
-    """Come up from behind the target, move along with it and close the fingers.
+    """Come up from behind the target, move along with it, close the fingers, and brake.
 
-    Recorded actions teach what to do with a target in the hand.
+    What to do later with a target in the hand, recorded actions teach.
     """
 
-    def answer(self, targets: Targets, due: Tensor, palms: Tensor, horizon: int) -> Answers:
+    def hands(self, targets: Targets, due: Tensor, state: Tensor) -> Tensor:
+        """See `Teacher.hands`; some of the others close their fingers more or less."""
+        hands = super().hands(targets, due, state)
+        others = hands[:, :, 1:]
+        closed = torch.rand(*others.shape[:3], 1, device=hands.device)
+        joints = torch.lerp(self.open_joints.to(hands), self.closed_joints.to(hands), closed)
+        drawn = torch.rand_like(closed) < DRAWN_SHARE
+        fingers = torch.where(drawn, joints, others[..., 3:])
+        others = torch.cat([others[..., :3], fingers], dim=-1)
+        return torch.cat([hands[:, :, :1], others], dim=2)
+
+    def answer(self, targets: Targets, due: Tensor, hands: Tensor, horizon: int) -> Answers:
         """See `Teacher.answer`; every target can be reached."""
+        palms = palm_of(hands)
         frames = due[..., None] + torch.arange(horizon + 1, device=due.device)
-        seat = targets.places(frames)[:, :, None] - palms.new_tensor(SEAT_M)  # (B, Q, 1, H + 1, 3)
-        offset = palms - seat[..., 0, :]
-        left = (offset.norm(dim=-1) / STEP_M).ceil().long().clamp_min(1)
+        places = targets.places(frames)[:, :, None]  # (B, Q, 1, H + 1, 3)
+        offsets = palms - places[..., 0, :]
+        joints = hands[..., 3:]
+        held = self.holds(offsets, joints)
+        offset = self._from_seat(offsets)
+        distance = offset.norm(dim=-1)
+        left = (distance / STEP_M).ceil().long().clamp_min(1)
+        begun = (self._closed(joints) > BEGUN_SHARE) & (distance < BEGUN_M)
+        velocity = (places[..., 1, :] - places[..., 0, :]).expand_as(palms)
+        carried = palms
         goals = []
         closing = []
         for step in range(1, horizon + 1):
             offset, closes = _approach(offset)
-            goals.append(seat[..., step, :] + offset)
-            closing.append(closes)
+            approached = places[..., step, :] - palms.new_tensor(SEAT_M) + offset
+            velocity = self._braked(velocity)
+            carried = carried + velocity
+            goals.append(torch.where(held[..., None], carried, approached))
+            closing.append(closes | begun | held)
         return Answers(
             goal=torch.stack(goals, dim=3),
             closing=torch.stack(closing, dim=3).to(palms),
@@ -52,16 +94,20 @@ class Grip(Teacher):
         return apart.unfold(1, STILL_FRAMES, 1).mean(-1)
 
     def caught(self, offsets: Tensor, joints: Tensor) -> Tensor:
-        """See `Teacher.caught`: a hand that `holds` its target has caught it."""
-        return self.holds(offsets[:, 1:, None], joints[:, 1:])[..., 0]
+        """See `Teacher.caught`: after `HELD_FRAMES` in which it `holds` its target."""
+        runs = self.holds(offsets, joints).unfold(1, HELD_FRAMES, 1).all(-1)
+        return nn.functional.pad(runs, (HELD_FRAMES - 2, 0))
 
     def holds(self, offsets: Tensor, joints: Tensor) -> Tensor:
-        """See `Teacher.holds`: as the expert takes it, if fingers are closed and the target is near
-        its seat.
+        """Return whether hands hold their targets, as the expert takes it: if fingers are closed
+        and the target is near its seat, ``(...)``.
+
+        Args:
+            offsets: of palms from targets [m], ``(..., 3)``.
+            joints: of the hands [rad], ``(..., J)``.
         """
-        turned = (joints - self.open_joints.to(joints)).norm(dim=-1)
-        closed = turned > HELD_SHARE * (self.closed_joints - self.open_joints).norm()
-        return closed[..., None] & (self._from_seat(offsets).norm(dim=-1) < HELD_M)
+        near = self._from_seat(offsets).norm(dim=-1) < HELD_M
+        return near & (self._closed(joints) > HELD_SHARE)
 
     def pursued(self, state: Tensor, place: Tensor, next_place: Tensor) -> Tensor:
         """See `Teacher.pursued`: along with the target, closer to it, and then closed."""
@@ -74,6 +120,15 @@ class Grip(Teacher):
         press.
         """
         return super().joints(closing) + SQUEEZE_RAD * closing[..., None]
+
+    def _closed(self, joints: Tensor) -> Tensor:
+        """Return how far fingers are closed, 0 open, 1 closed, ``(..., J) -> (...)``."""
+        turned = (joints - self.open_joints.to(joints)).norm(dim=-1)
+        return turned / (self.closed_joints - self.open_joints).norm()
+
+    def _braked(self, velocity: Tensor) -> Tensor:
+        """Return the velocity [m/frame] of a hand one frame later that brakes with its target."""
+        return velocity + (velocity.new_tensor(LIFT_M_S) / self.fps - velocity) * BRAKE_SHARE
 
     @staticmethod
     def _from_seat(offset: Tensor) -> Tensor:

@@ -69,39 +69,43 @@ class FlowDenoiser(nn.Module):
         nn.init.zeros_(self.out.weight)
         nn.init.zeros_(self.out.bias)
 
-    def forward(self, chunk: Tensor, t: Tensor, context: Tensor) -> Tensor:
-        """Map noisy chunks ``(R, H, A)`` at times ``(R,)`` in contexts ``(R, C)`` to predictions of
-        that shape.
+    def read(self, context: Tensor) -> Tensor:
+        """Return what is read of contexts, which is the same at all times, ``(R, C) -> (R, W)``."""
+        return self.context(context)
+
+    def forward(self, chunk: Tensor, t: Tensor, read: Tensor) -> Tensor:
+        """Map noisy chunks ``(R, H, A)`` at times ``(R,)`` to predictions of that shape; ``read``
+        ``(R, W)`` is of their contexts.
         """
         phase = t[:, None] * torch.pi * torch.tensor(PHASES, device=t.device)
         time = self.time(torch.cat([phase.sin(), phase.cos()], dim=-1))
-        x = self.chunk(chunk.flatten(1)) + time + self.context(context)
+        x = self.chunk(chunk.flatten(1)) + time + read
         for block in self.blocks:
             x = x + block(x)
         return self.out(x).view_as(chunk)
 
-    def error(self, target: Tensor, noise: Tensor, t: Tensor, context: Tensor) -> Tensor:
+    def error(self, target: Tensor, noise: Tensor, t: Tensor, read: Tensor) -> Tensor:
         """Return by how much the prediction for a mixture of target and noise is off, ``(R, H,
         A)``.
         """
-        return self(torch.lerp(noise, target, t[:, None, None]), t, context) - (target - noise)
+        return self(torch.lerp(noise, target, t[:, None, None]), t, read) - (target - noise)
 
-    def velocity(self, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
+    def velocity(self, x: Tensor, t: Tensor, read: Tensor) -> Tensor:
         """Return the velocity of the linear path at ``x`` ``(R, H, A)`` and ``t`` ``(R,)``, towards
         the data.
         """
-        return self(x, t, context)
+        return self(x, t, read)
 
 
 class DiffusionDenoiser(FlowDenoiser):
     """Variance-preserving diffusion that predicts the signal, sampled by DDIM."""
 
-    def error(self, target: Tensor, noise: Tensor, t: Tensor, context: Tensor) -> Tensor:
+    def error(self, target: Tensor, noise: Tensor, t: Tensor, read: Tensor) -> Tensor:
         """See `FlowDenoiser.error`."""
         signal, spread = _mixing(t)
-        return self(signal * target + spread * noise, t, context) - target
+        return self(signal * target + spread * noise, t, read) - target
 
-    def velocity(self, x: Tensor, t: Tensor, context: Tensor) -> Tensor:
+    def velocity(self, x: Tensor, t: Tensor, read: Tensor) -> Tensor:
         """See `FlowDenoiser.velocity`.
 
         On the linear path ``x = t target + (1 - t) noise`` the velocity ``target - noise`` is
@@ -110,7 +114,7 @@ class DiffusionDenoiser(FlowDenoiser):
         """
         own = 2 / torch.pi * torch.atan2(t, 1 - t)  # its own time, a in units of pi / 2
         signal, spread = _mixing(own)
-        return (self(x * (signal + spread), own, context) - x) / (1 - t)[:, None, None]
+        return (self(x * (signal + spread), own, read) - x) / (1 - t)[:, None, None]
 
 
 def _mixing(t: Tensor) -> tuple[Tensor, Tensor]:
@@ -195,8 +199,8 @@ class ActionHead(nn.Module):
         target = repeat(deviation, "r h a -> (r n) h a", n=NOISE_LEVELS)
         t = torch.rand(len(target), device=target.device)
         t = torch.where(torch.rand_like(t) < PURE_NOISE_SHARE, 0.0, t)
-        contexts = repeat(context, "r c -> (r n) c", n=NOISE_LEVELS)
-        error = self.denoiser.error(target, torch.randn_like(target), t, contexts)
+        read = repeat(self.denoiser.read(context), "r w -> (r n) w", n=NOISE_LEVELS)
+        error = self.denoiser.error(target, torch.randn_like(target), t, read)
         error = rearrange(error.square().mean(-1), "(r n) h -> r n h", n=NOISE_LEVELS)
         return loss + (error * weight[:, None]).mean((1, 2))
 
@@ -216,22 +220,27 @@ class ActionHead(nn.Module):
         n = self.n_draws
         noise = frame_noise(frame, (n, *self.noise_shape), context)
         start = repeat(noise, "n h a -> (r n) h a", r=len(context))
-        draws = self.denoise(repeat(context, "r c -> (r n) c", n=n), start, self.n_steps)
+        draws = self.denoise(context, start, self.n_steps)
         draws = rearrange(draws, "(r n) h a -> n r h a", n=n).sort(dim=0).values
         first, rest = draws.split([self.groups[0], self.action_dim - self.groups[0]], dim=-1)
         return torch.cat([first[n // 2], rest[int(n * self.closing_quantile)]], dim=-1)
 
     def denoise(self, context: Tensor, start: Tensor, n_steps: int) -> Tensor:
-        """Return the chunks ``(R, H, A)`` that noise ``start`` ``(R, H, A)`` becomes in contexts
-        ``(R, C)``.
+        """Return the chunks ``(R * N, H, A)`` that noise ``start`` ``(R * N, H, A)`` becomes in
+        contexts ``(R, C)``, N in each.
         """
-        mean, log_scale = self.regress(context)
         denoiser = self.denoiser
+        mean, log_scale = self.regress(context)
         if denoiser is None:
             return mean
+        n = len(start) // max(1, len(context))
+        read, mean, unit = (
+            x.repeat_interleave(n, dim=0)
+            for x in (denoiser.read(context), mean, self._unit(log_scale))
+        )
 
         # LeRobot's loop runs from time 1, noise, to 0, data
         def towards_noise(x: Tensor, time: Tensor) -> Tensor:
-            return -denoiser.velocity(x, (1 - time).to(x), context)
+            return -denoiser.velocity(x, (1 - time).to(x), read)
 
-        return mean + self._unit(log_scale) * euler_integrate(towards_noise, start, n_steps)
+        return mean + unit * euler_integrate(towards_noise, start, n_steps)

@@ -90,35 +90,34 @@ def decision_losses(
     model: ObActModel, forecast: Forecast, window: Window, rows: Tensor, teacher: Teacher
 ) -> dict[str, Tensor]:
     """Return the losses of decisions at frames ``rows`` ``(B, Q)`` by window, ``(B,)`` each: of
-    the forecast, and of the actions of M palms in place of each decision's own.
+    the forecast, and of the actions of M hands in place of each decision's own.
     """
     targets = window.targets
     delay = window.delay_frames
     assert targets is not None
     last = window.recorded.shape[1] - 1
+    # where the hand is when the decision takes effect, with the fingers that are read now
     palm = gather_frames(window.frames.palm, (rows + delay).clamp_max(last))
+    state = gather_frames(window.frames.state, rows)
+    state = torch.cat([palm, state[..., 3:]], dim=-1)
     # at the latest in the last frame but one that is known: a teacher looks a frame ahead
     due = torch.minimum(rows + delay, targets.length[:, None] - 2)
     held = targets.held[:, None, None, None]
-    palms = teacher.palms(targets, due, palm)  # (B, Q, M, 3)
-    palms = torch.where(held, palm[:, :, None], palms)
-    answers = teacher.answer(targets, due, palms, model.config.horizon)
+    hands = torch.where(held, state[:, :, None], teacher.hands(targets, due, state))
+    answers = teacher.answer(targets, due, hands, model.config.horizon)
     near = _nearness(answers.frames + delay, answers.reachable)
     losses = {"forecast": forecast_loss(model, forecast.places, targets, rows, near)}
 
-    n_windows, _, n_palms = palms.shape[:3]
+    n_windows, _, n_hands = hands.shape[:3]
     repeated = replace(forecast.later(delay), attention=None).map(
-        lambda x: repeat(x, "b q ... -> (b q m) ...", m=n_palms)
+        lambda x: repeat(x, "b q ... -> (b q m) ...", m=n_hands)
     )
-    state = gather_frames(window.frames.state, rows)
-    states = repeat(state, "b q s -> (b q m) s", m=n_palms)
-    context, origin = model.condition(repeated, palms.flatten(0, 2), states)
+    states = hands.flatten(0, 2)
+    context, origin = model.condition(repeated, palm_of(states), states)
     actions = torch.cat([answers.goal, teacher.joints(answers.closing)], dim=-1)
     weight = torch.where(answers.reachable, 1.0, UNREACHABLE_WEIGHT)
     # nothing is decided that would take effect after the catch
     weight = weight * (rows + delay < targets.catch[:, None])[..., None]
-    offsets = palms - targets.places(due[..., None])
-    weight = weight * ~teacher.holds(offsets, state[..., 3:])
     weight = repeat(weight, "b q m -> b q m h", h=model.config.horizon)
     # a hand that grips the target goes on as it was recorded
     actions = torch.where(held[..., None], window.actions[:, None, None], actions).flatten(0, 2)

@@ -205,7 +205,7 @@ def rolled_out(
     step_m = model.config.embodiment.step_m
     for r in range(forecast.features.shape[1]):
         state = ways[-1]
-        palm = state[:, :3]
+        palm = palm_of(state)
         action = model.act_once(forecast[:, r], palm, state)
         goal = palm_of(action)
         if pushes is not None:

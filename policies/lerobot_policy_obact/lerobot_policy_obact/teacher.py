@@ -13,7 +13,7 @@ import torch
 from einops import repeat
 from torch import Tensor
 
-from .frames import Record, gather_frames
+from .frames import Record, gather_frames, palm_of
 
 LEAST_SPREAD_M = 0.004
 GREATEST_SPREAD_M = 0.15
@@ -75,11 +75,13 @@ class Teacher:
     closed_joints: Tensor  # of the hand [rad], (J,)
     radius_m: float  # a target is caught where `misses` returns less [m]
 
-    def answer(self, targets: Targets, due: Tensor, palms: Tensor, horizon: int) -> Answers:
-        """Return what to do with palms ``(B, Q, M, 3)`` [m] in frames ``due`` ``(B, Q)``.
+    def answer(self, targets: Targets, due: Tensor, hands: Tensor, horizon: int) -> Answers:
+        """Return what hands should do that are in states ``hands`` ``(B, Q, M, S)`` in frames
+        ``due`` ``(B, Q)``.
 
         A palm that is in time nowhere goes where it misses by least.
         """
+        palms = palm_of(hands)
         ahead = torch.arange(1, LONGEST_FRAMES + 1, device=due.device)
         frame = due[..., None] + ahead  # (B, Q, K)
         future = targets.places(frame)[:, :, None]  # (B, Q, 1, K, 3)
@@ -111,16 +113,6 @@ class Teacher:
         """
         return self.misses(offsets) < self.radius_m
 
-    def holds(self, offsets: Tensor, joints: Tensor) -> Tensor:
-        """Return whether hands hold their targets, ``(B, Q, M)``; such decisions get no label. Here
-        never: a target is caught by coming near.
-
-        Args:
-            offsets: of palms from targets [m], ``(B, Q, M, 3)``.
-            joints: of the hands [rad], ``(B, Q, J)``.
-        """
-        return torch.zeros_like(offsets[..., 0], dtype=torch.bool)
-
     def pursued(self, state: Tensor, place: Tensor, next_place: Tensor) -> Tensor:
         """Return the goals ``(B, S)`` of hands in states ``(B, S)`` that pursue targets. These are
         at ``place`` now and at ``next_place`` a frame later [m], where the palm goes.
@@ -135,18 +127,21 @@ class Teacher:
         closed = self.closed_joints.to(closing)
         return torch.lerp(opened, closed, closing[..., None])
 
-    def palms(self, targets: Targets, due: Tensor, palm: Tensor) -> Tensor:
-        """Draw four palms for each decision, ``(B, Q, 4, 3)`` [m]: the one that was at ``palm``
-        ``(B, Q, 3)`` in frames ``due`` ``(B, Q)``, and others near it and near the target.
+    def hands(self, targets: Targets, due: Tensor, state: Tensor) -> Tensor:
+        """Draw the states of four hands for each decision, ``(B, Q, 4, S)``: of the one that was in
+        ``state`` ``(B, Q, S)`` in frames ``due`` ``(B, Q)``, and of others with their palms near it
+        and near the target.
         """
         place = targets.places(due[..., None])[:, :, 0]
+        palm = palm_of(state)
         base = torch.stack([palm, palm, palm, place], dim=2)
         # spread evenly over the orders of magnitude
         share = torch.rand(*base.shape[:3], 1, device=base.device)
         spread = LEAST_SPREAD_M * (GREATEST_SPREAD_M / LEAST_SPREAD_M) ** share
         moved = base + spread * torch.randn_like(base)
         moved[:, :, 0] = palm
-        return moved
+        rest = repeat(state[..., 3:], "b q j -> b q m j", m=4)
+        return torch.cat([moved, rest], dim=-1)
 
 
 def passing_distance(start: Tensor, end: Tensor) -> Tensor:

@@ -4,6 +4,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import torch
@@ -21,7 +22,7 @@ from lerobot_policy_obact.windows import VirtualHands
 from torch.utils.data import DataLoader
 
 from dynahoi_lerobot.encode import encode
-from dynahoi_lerobot.experts.match import SEAT_M
+from dynahoi_lerobot.experts.match import SEAT_M, braked
 from tests.checkpoints import TINY_OBACT, observation
 from tests.tools import generated
 
@@ -82,6 +83,11 @@ def grip() -> Grip:
     return Grip(20.0, 0.1, torch.zeros(15), torch.full((15,), 1.3), GRIP_M)
 
 
+def still_targets(place: torch.Tensor, n: int) -> Targets:
+    known = torch.full((n,), 8)
+    return Targets(place.expand(n, 8, 3), known, known, torch.zeros(n, dtype=torch.bool))
+
+
 def test_its_answers_are_the_goals_that_the_expert_recorded(root: Path):
     policy = learner(root)
     table = table_of(policy)
@@ -91,10 +97,10 @@ def test_its_answers_are_the_goals_that_the_expert_recorded(root: Path):
     open_hand = (frame >= table.begin[episode]) & (frame < table.catch[episode])
     assert open_hand.sum() > 20
     now = policy.config.n_obs_steps - 1
-    palm = batch["observation.state"][open_hand, now, None, None, :3]
+    state = batch["observation.state"][open_hand, now, None, None]
     targets, _ = table.window(episode[open_hand], frame[open_hand], [0])
-    due = torch.zeros(len(palm), 1, dtype=torch.long)
-    told = table.teacher.answer(targets, due, palm, 1)
+    due = torch.zeros(len(state), 1, dtype=torch.long)
+    told = table.teacher.answer(targets, due, state, 1)
     goals = batch["action"][open_hand, 0]
     # a finger may have touched the target by then
     torch.testing.assert_close(told.goal[:, 0, 0, 0], goals[:, :3], atol=2e-3, rtol=0)
@@ -133,9 +139,27 @@ def test_a_palm_that_passes_its_target_meets_it_but_does_not_grip_it():
 def test_closed_fingers_hold_a_target_near_its_seat():
     hand = grip()
     offsets = torch.tensor([[0.0, 0, 0], [0.04, 0, 0], [0.2, 0, 0]]) - SEAT
-    joints = torch.stack([hand.open_joints, hand.closed_joints])[:, None]
-    held = hand.holds(offsets.expand(2, 1, 3, 3), joints)
-    assert held[:, 0].tolist() == [[False] * 3, [True, True, False]]
+    opened = hand.holds(offsets, hand.open_joints.expand(3, -1))
+    closed = hand.holds(offsets, hand.closed_joints.expand(3, -1))
+    assert opened.tolist() == [False] * 3
+    assert closed.tolist() == [True, True, False]
+
+
+def test_other_hands_of_a_decision_have_their_fingers_anywhere():
+    hand = grip()
+    torch.manual_seed(0)
+    state = torch.zeros(2000, 1, 18)
+    due = torch.zeros(2000, 1, dtype=torch.long)
+    closed = (
+        hand.hands(still_targets(torch.ones(3), 2000), due, state)[:, 0, :, 3:] / hand.closed_joints
+    )
+    assert (closed[:, 0] == 0).all()
+    others = closed[:, 1:]
+    assert torch.equal(others, others[..., :1].expand_as(others)), "all fingers alike"
+    drawn = others[..., 0][others[..., 0] > 0]
+    assert 0.4 < len(drawn) / 6000 < 0.6
+    assert 0.2 < float(drawn.quantile(0.25)) < 0.3
+    assert 0.7 < float(drawn.quantile(0.75)) < 0.8
 
 
 def test_before_the_grip_a_target_goes_its_way_and_then_it_goes_with_the_hand(root: Path):
@@ -176,17 +200,51 @@ def test_a_hand_that_grips_is_shown_as_it_was_and_learns_what_it_did(root: Path)
     assert losses["free", "elsewhere"] == losses["free", "as recorded"], "the expert's labels"
 
 
-def test_recordings_alone_teach_what_a_hand_does_that_holds_its_target(root: Path, monkeypatch):
-    policy = learner(root)
-    window = policy._window(batch_of(policy, root))
-    assert window.targets is not None
-    teacher = table_of(policy).teacher
-    everywhere = lambda self, offsets, joints: torch.ones_like(offsets[..., 0]).bool()  # noqa: E731
-    monkeypatch.setattr(Grip, "holds", everywhere)
-    losses = window_losses(policy.model, window, teacher)["action"]
-    held = window.targets.held
-    assert (losses[~held] == 0).all()
-    assert (losses[held] != 0).any()
+@pytest.mark.parametrize(
+    ("closed", "distance_m", "closes"),
+    [
+        (0.6, 0.045, True),
+        (0.6, 0.055, False),
+        (0.3, 0.034, True),
+        (0.3, 0.036, False),
+        (0.1, 0.034, False),
+    ],
+)
+def test_fingers_that_have_begun_to_close_around_a_target_go_on(
+    closed: float, distance_m: float, *, closes: bool
+):
+    hand = grip()
+    place = torch.tensor([0.0, 0.1, 0.2])
+    palm = place - SEAT + torch.tensor([distance_m, 0.0, 0.0])  # beyond where the expert closes
+    joints = torch.lerp(hand.open_joints, hand.closed_joints, closed)
+    hands = torch.cat([palm, joints])[None, None, None]
+    due = torch.zeros(1, 1, dtype=torch.long)
+    told = hand.answer(still_targets(place, 1), due, hands, 1)
+    assert told.closing.item() == closes
+
+
+def test_a_hand_that_holds_its_target_brakes_as_the_expert_does():
+    hand = grip()
+    place = torch.tensor([0.0, 0.1, 0.2])
+    speed = torch.tensor([0.0, 0.5, -0.25])  # [m/s]
+    path = place + torch.arange(8)[:, None] * speed / hand.fps
+    targets = replace(still_targets(place, 1), path=path[None])
+    hands = torch.cat([place - SEAT + 0.01, hand.closed_joints])[None, None, None]
+    told = hand.answer(targets, torch.zeros(1, 1, dtype=torch.long), hands, 2)
+    goals = told.goal[0, 0, 0]
+    velocities = (goals - torch.stack([hands[0, 0, 0, :3], goals[0]])) * hand.fps
+    first = braked(speed.double().numpy())
+    expected = torch.from_numpy(np.stack([first, braked(first)]))
+    torch.testing.assert_close(velocities.double(), expected, atol=1e-5, rtol=0)
+
+
+def test_a_target_is_caught_once_it_was_held_for_some_frames():
+    hand = grip()
+    near = torch.tensor([0, 1, 1, 0, 1, 1, 1, 1], dtype=torch.bool)
+    offsets = torch.where(near[:, None], 0.0, 0.2) - SEAT
+    joints = hand.closed_joints.expand(8, -1)
+    caught = hand.caught(offsets[None], joints[None])
+    assert caught.tolist() == [[False] * 5 + [True, True]]
 
 
 @pytest.mark.parametrize("far", [True, False])

@@ -97,15 +97,17 @@ def test_fingers_are_closed_before_the_meeting_and_open_long_before():
     assert (closing[0, 0, 0].diff() >= 0).all()
 
 
-def test_the_first_palm_is_the_one_that_was_there_and_the_others_are_near_it_or_the_target():
+def test_the_first_hand_is_the_one_that_was_there_and_the_others_are_near_it_or_the_target():
     torch.manual_seed(0)
     path = paths(50)
     due = torch.full((50, 2), 20)
-    palm = torch.randn(50, 2, 3) * 0.1
-    palms = teacher().palms(targets_on(path), due, palm)
-    assert torch.equal(palms[:, :, 0], palm)
+    state = torch.randn(50, 2, 18) * 0.1
+    hands = teacher().hands(targets_on(path), due, state)
+    assert torch.equal(hands[:, :, 0], state)
+    palm = state[..., :3]
     for i, near in ((1, palm), (2, palm), (3, path[:, 20][:, None])):
-        assert 0.01 < (palms[:, :, i] - near).norm(dim=-1).median() < 0.15
+        assert 0.01 < (hands[:, :, i, :3] - near).norm(dim=-1).median() < 0.15
+        assert torch.equal(hands[:, :, i, 3:], state[..., 3:])
 
 
 def test_a_palm_goes_no_farther_than_it_can_and_stops_where_it_should():
