@@ -10,14 +10,13 @@ import torch
 from torch import Tensor, nn
 
 from dynahoi_lerobot.experts.match import (
-    BRAKE_SHARE,
     HELD_M,
     HELD_SHARE,
-    LIFT_M_S,
     SEAT_M,
     SQUEEZE_RAD,
     STEP_M,
     approach,
+    braked,
 )
 
 from .frames import palm_of
@@ -28,25 +27,25 @@ GRIP_M = 0.015
 STILL_FRAMES = 4
 """The palm must stay with the target for so long, which fingers take to close around it."""
 HELD_FRAMES = 3
-"""A virtual hand has caught a target that it holds for so long, and until then learns to close its
-fingers all the way. Not longer: its target is not carried, but goes on by itself."""
+"""A virtual hand has caught its target after holding it for this many frames, in which it learns to
+close its fingers all the way. More would mislead: the target is not carried along."""
 BEGUN_SHARE, BEGUN_M = 0.2, 0.035
-"""Fingers that are closed by more than this share close all the way, with the target so near its
-seat. The expert's never are halfway; a policy's, which averages over what it does not know, are,
-and would stay there."""
+"""Fingers closed by more than this share, with the target this near its seat, go on to close all
+the way. The expert's fingers are never half closed, but a policy that is unsure half closes them,
+and would leave them so."""
 DRAWN_SHARE = 0.5
-"""Share of a decision's other hands whose fingers are closed at random, so that the policy does not
-go by how far it has closed its own."""
+"""Share of a decision's other hands whose fingers are closed at random, so that a policy does not
+just repeat how far it has closed its own."""
 
 
 class Grip(Teacher):
     """Come up from behind the target, move along with it, close the fingers, and brake.
 
-    What to do later with a target in the hand, recorded actions teach.
+    Recorded actions teach what to do once the target is in the hand.
     """
 
     def hands(self, targets: Targets, due: Tensor, state: Tensor) -> Tensor:
-        """See `Teacher.hands`; some of the others close their fingers more or less."""
+        """See `Teacher.hands`; the fingers of some of the others are closed at random."""
         hands = super().hands(targets, due, state)
         others = hands[:, :, 1:]
         closed = torch.rand(*others.shape[:3], 1, device=hands.device)
@@ -68,15 +67,15 @@ class Grip(Teacher):
         distance = offset.norm(dim=-1)
         left = (distance / STEP_M).ceil().long().clamp_min(1)
         begun = (self._closed(joints) > BEGUN_SHARE) & (distance < BEGUN_M)
-        velocity = (places[..., 1, :] - places[..., 0, :]).expand_as(palms)
+        velocity = (places[..., 1, :] - places[..., 0, :]).expand_as(palms) * self.fps  # [m/s]
         carried = palms
         goals = []
         closing = []
         for step in range(1, horizon + 1):
             offset, closes = _approach(offset)
             approached = places[..., step, :] - palms.new_tensor(SEAT_M) + offset
-            velocity = self._braked(velocity)
-            carried = carried + velocity
+            velocity = _braked(velocity)
+            carried = carried + velocity / self.fps
             goals.append(torch.where(held[..., None], carried, approached))
             closing.append(closes | begun | held)
         return Answers(
@@ -126,10 +125,6 @@ class Grip(Teacher):
         turned = (joints - self.open_joints.to(joints)).norm(dim=-1)
         return turned / (self.closed_joints - self.open_joints).norm()
 
-    def _braked(self, velocity: Tensor) -> Tensor:
-        """Return the velocity [m/frame] of a hand one frame later that brakes with its target."""
-        return velocity + (velocity.new_tensor(LIFT_M_S) / self.fps - velocity) * BRAKE_SHARE
-
     @staticmethod
     def _from_seat(offset: Tensor) -> Tensor:
         """Return how far a palm is from where the target has its seat, ``(..., 3)`` [m]."""
@@ -140,3 +135,8 @@ def _approach(offset: Tensor) -> tuple[Tensor, Tensor]:
     """Return what the expert's `approach` does, for tensors."""
     moved, closes = approach(offset.detach().cpu().double().numpy())
     return torch.from_numpy(moved).to(offset), torch.from_numpy(closes).to(offset.device)
+
+
+def _braked(velocity: Tensor) -> Tensor:
+    """Return what the expert's `braked` does, for tensors."""
+    return torch.from_numpy(braked(velocity.detach().cpu().double().numpy())).to(velocity)

@@ -70,7 +70,7 @@ class FlowDenoiser(nn.Module):
         nn.init.zeros_(self.out.bias)
 
     def read(self, context: Tensor) -> Tensor:
-        """Return what is read of contexts, which is the same at all times, ``(R, C) -> (R, W)``."""
+        """Embed contexts for `forward`, once for all times, ``(R, C) -> (R, W)``."""
         return self.context(context)
 
     def forward(self, chunk: Tensor, t: Tensor, read: Tensor) -> Tensor:
