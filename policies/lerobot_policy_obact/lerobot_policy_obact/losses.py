@@ -59,7 +59,8 @@ def window_losses(model: ObActModel, window: Window, teacher: Teacher | None) ->
     spread = torch.rand(len(now), config.n_decisions, device=now.device)
     rows = now + (spread * (last[:, None] - now + 1).clamp_min(0)).long()
     latest = max(config.n_obs_steps, n_frames - LEAST_ROLLED - delay) - 1
-    first = window.begin[:, None].clamp(min=now).clamp_max(latest)
+    # from the first decision that takes effect when the hand may move
+    first = (window.begin[:, None] - delay).clamp(min=now).clamp_max(latest)
     rolled = first + torch.arange(config.n_future_steps, device=now.device)
     rolled = rolled.clamp_max(n_frames - 1)
     plays = config.n_future_steps > 0 and config.closed_loop_weight > 0

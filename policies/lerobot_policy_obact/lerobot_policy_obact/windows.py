@@ -140,14 +140,19 @@ class VirtualHands:
             goal = torch.where(follows & donors.usable[:, t + 1, None], along, pursued)
             palm = stepped(way[-1][:, :3], goal[:, :3] + pushes[:, t], embodiment.step_m)
             state = torch.cat([palm, goal[:, 3:]], dim=-1)
-            way.append(torch.where((begin + delay <= t)[:, None], state, way[-1]))
+            way.append(torch.where((begin <= t)[:, None], state, way[-1]))
         ways = torch.where(virtual[:, None, None], torch.stack(way, dim=1), recorded)
         led = virtual & _chance(LED_SHARE, b, device)
         seen = self._with_state(window, donors, ways).frames[led]
         rows = torch.arange(max(0, n - 1 - delay), device=device).expand(len(seen.state), -1)
         forecast = self.model.encode_history(seen, rows).later(delay)
         start = ways[led, : delay + 1]
-        ways[led] = rolled_out(self.model, forecast, start, begin=begin[led], pushes=pushes[led])
+        # the first decision that moves a hand is taken before it may move, in the frame from which
+        # it takes effect just then
+        first = (begin - delay)[led]
+        ways[led] = rolled_out(
+            self.model, forecast, start, begin=first, pushes=pushes[led, delay:]
+        )
         return ways
 
     def _pushes(self, spread_m: Tensor, begin: Tensor, n: int) -> Tensor:

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import torch
@@ -139,14 +140,35 @@ def test_recorded_hands_are_shown_as_they_were():
     torch.testing.assert_close(shown.frames.sightings, window.frames.sightings, atol=1e-4, rtol=0)
 
 
-def test_virtual_hands_wait_until_they_may_move_and_go_no_faster_than_they_can():
-    shown = hands().drawn(windows(begin=20), 1.0)
+@pytest.mark.parametrize("late", [0, 3])
+def test_virtual_hands_wait_until_they_may_move_and_go_no_faster_than_they_can(late: int):
+    """However late commands take effect: the first that counts is given before that frame."""
+    shown = hands().drawn(replace(windows(begin=20), delay_frames=late), 1.0)
     steps = shown.frames.palm.diff(dim=1).norm(dim=-1)
     waits = torch.arange(LENGTH - 1) < shown.begin[:, None]
     assert steps.max() <= STEP_M + 1e-5
     assert (steps[waits] == 0).all()
     # some go the way of the recorded hand, which rests
     assert (steps[~waits] > 0).float().mean() > 0.8
+    first = steps.gather(1, shown.begin[:, None].clamp_min(0))
+    assert (first > 0).float().mean() > 0.8
+
+
+@pytest.mark.parametrize("late", [0, 3])
+def test_the_closed_loop_begins_with_the_first_decision_that_moves_the_hand(
+    monkeypatch: pytest.MonkeyPatch, late: int
+):
+    begun = []
+
+    def closed_loop_loss(*args: Any) -> torch.Tensor:
+        rows = args[3]
+        begun.append(rows[:, 0])
+        return torch.zeros(len(rows))
+
+    monkeypatch.setattr("lerobot_policy_obact.losses.closed_loop_loss", closed_loop_loss)
+    window = replace(windows(begin=PAST + 4), delay_frames=late)
+    window_losses(policy().model, window, teacher())
+    assert (begun[0] == PAST + 4 - late).all()
 
 
 def test_a_virtual_hand_decides_until_it_has_caught_its_target():
