@@ -39,7 +39,6 @@ DISTANCE_WEIGHT = 0.3
 LARGEST_DISTANCE = 2.0
 """To the step comes the distance in this unit, with this weight and at most so many units, which
 leads palms that are far off. Not tuned, as the step is not."""
-LEAST_ROLLED = 4  # frames through which a palm is rolled out, at least, if a window has as many
 
 
 def window_losses(model: ObActModel, window: Window, teacher: Teacher | None) -> dict[str, Tensor]:
@@ -58,17 +57,17 @@ def window_losses(model: ObActModel, window: Window, teacher: Teacher | None) ->
     last = torch.minimum(targets.catch, targets.length - 2).clamp_max(n_frames) - 1 - delay
     spread = torch.rand(len(now), config.n_decisions, device=now.device)
     rows = now + (spread * (last[:, None] - now + 1).clamp_min(0)).long()
-    latest = max(config.n_obs_steps, n_frames - LEAST_ROLLED - delay) - 1
-    # from the first decision that takes effect when the hand may move
-    first = (window.begin[:, None] - delay).clamp(min=now).clamp_max(latest)
-    rolled = first + torch.arange(config.n_future_steps, device=now.device)
-    rolled = rolled.clamp_max(n_frames - 1)
+    # from the first decision that takes effect when the hand may move, if the window has that frame
+    first = torch.minimum(window.begin, window.begin.new_tensor(n_frames - 1)) - delay
+    rolled = first[:, None].clamp(min=now) + torch.arange(config.n_future_steps, device=now.device)
+    beyond = (rolled - (n_frames - 1)).clamp_min(0)
     plays = config.n_future_steps > 0 and config.closed_loop_weight > 0
-    decided = torch.cat([rows, rolled], dim=1) if plays else rows
+    decided = torch.cat([rows, rolled - beyond], dim=1) if plays else rows
     forecast = model.encode_history(window.frames, decided)
     losses = decision_losses(model, forecast[:, : config.n_decisions], window, rows, teacher)
     if plays:
-        rolled_forecast = forecast[:, config.n_decisions :].later(delay)
+        # after the window, from the forecast of its last frame
+        rolled_forecast = forecast[:, config.n_decisions :].later(delay + beyond)
         losses["closed_loop"] = closed_loop_loss(model, rolled_forecast, window, rolled, teacher)
     return losses
 
@@ -169,13 +168,13 @@ def closed_loop_loss(
     targets = window.targets
     delay = window.delay_frames
     assert targets is not None
-    n_frames = window.recorded.shape[1]
     device = rows.device
     due = rows[:, :1] + delay + torch.arange(rows.shape[1] + 1, device=device)  # (B, R + 1)
     # a palm passes the target between a frame and the next one, which must be known as well
-    known = (due[:, :-1] < targets.length[:, None] - 1) & (due[:, :-1] < n_frames)
+    known = due[:, :-1] < targets.length[:, None] - 1
     path = gather_frames(targets.path, due.clamp_max(targets.path.shape[1] - 1))
-    state = gather_frames(window.frames.state, due[:, :1].clamp_max(n_frames - 1))
+    last = window.recorded.shape[1] - 1
+    state = gather_frames(window.frames.state, due[:, :1].clamp_max(last))
     way = palm_of(rolled_out(model, forecast, state))
     misses = teacher.misses(way - path)  # (B, R')
     known = known[:, : misses.shape[1]] & ~targets.held[:, None]

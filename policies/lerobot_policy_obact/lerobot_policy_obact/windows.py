@@ -150,9 +150,7 @@ class VirtualHands:
         # the first decision that moves a hand is taken before it may move, in the frame from which
         # it takes effect just then
         first = (begin - delay)[led]
-        ways[led] = rolled_out(
-            self.model, forecast, start, begin=first, pushes=pushes[led, delay:]
-        )
+        ways[led] = rolled_out(self.model, forecast, start, begin=first, pushes=pushes[led, delay:])
         return ways
 
     def _pushes(self, spread_m: Tensor, begin: Tensor, n: int) -> Tensor:

@@ -15,6 +15,7 @@ from lerobot_policy_obact.attention import (
     SpatialAttention,
 )
 from lerobot_policy_obact.configuration_obact import HEADS
+from lerobot_policy_obact.forecaster import FORECAST_FRAMES, Forecast
 from lerobot_policy_obact.gr00t_head import Gr00tHead
 from lerobot_policy_obact.heads import ActionHead
 from safetensors.torch import save_file
@@ -68,6 +69,25 @@ def test_readouts_return_convex_combinations_of_earlier_positions():
     torch.testing.assert_close(points[0, 0], torch.zeros(5, 3))  # nothing but the first frame
     assert (points[0, 1] >= 0).all()
     assert (points[0, 1] <= 3).all()
+
+
+def test_a_forecast_read_later_says_where_a_target_will_be_that_circles_while_it_falls():
+    """For decisions that read it after as many frames each, or after various ones."""
+    delays = torch.arange(8)
+    frames = torch.tensor(FORECAST_FRAMES)
+
+    def path(frame: torch.Tensor) -> torch.Tensor:  # [m], at 20 frames a second
+        time_s = frame / 20
+        turned = 2.5 * time_s
+        return torch.stack([0.4 * turned.cos(), 0.4 * turned.sin(), -4.9 * time_s**2], dim=-1)
+
+    forecast = Forecast(torch.zeros(1, 8, 1), path(frames).expand(1, 8, -1, 3))
+    wanted = (frames + delays[:, None]).clamp_max(FORECAST_FRAMES[-1])
+    near = wanted <= 20  # a second ahead
+    read = forecast.later(delays[None]).places[0]
+    torch.testing.assert_close(read[near], path(wanted)[near], atol=0.003, rtol=0)
+    for delay in delays:
+        torch.testing.assert_close(forecast.later(int(delay)).places[0, delay], read[delay])
 
 
 def fitted(

@@ -171,6 +171,27 @@ def test_the_closed_loop_begins_with_the_first_decision_that_moves_the_hand(
     assert (begun[0] == PAST + 4 - late).all()
 
 
+@pytest.mark.parametrize("late", [0, 3])
+def test_after_the_window_the_closed_loop_goes_on_with_the_last_forecast(
+    monkeypatch: pytest.MonkeyPatch, late: int
+):
+    """Targets that are one meter farther in every frame, in the forecasts."""
+    read = []
+
+    def closed_loop_loss(*args: Any) -> torch.Tensor:
+        read.append(args[1].places[..., 0, 0])
+        return torch.zeros(len(args[1].places))
+
+    monkeypatch.setattr("lerobot_policy_obact.losses.closed_loop_loss", closed_loop_loss)
+    actor = policy()
+    monkeypatch.setattr(actor.model, "encode_history", one_meter_a_frame)
+    window = replace(windows(begin=PAST + 10), delay_frames=late)
+    window_losses(actor.model, window, teacher())
+    wanted = PAST + 10 + torch.arange(FUTURE).float()
+    torch.testing.assert_close(read[0], wanted.expand(64, -1))
+    assert wanted[-1] > LENGTH
+
+
 def test_a_virtual_hand_decides_until_it_has_caught_its_target():
     shown = hands().drawn(windows(begin=0), 1.0)
     offset = shown.frames.palm - shown.targets.path[:, :LENGTH]
@@ -237,15 +258,11 @@ def test_a_led_hand_reads_the_forecast_of_when_its_commands_take_effect(
     leader = hands()
     asked = []
 
-    def forecast(frames: Frames, rows: torch.Tensor) -> Forecast:
-        places = rows[..., None] + torch.tensor(FORECAST_FRAMES)
-        return Forecast(rows[..., None].float(), places[..., None].expand(-1, -1, -1, 3).float())
-
     def act_once(forecast: Forecast, palm: torch.Tensor, state: torch.Tensor) -> torch.Tensor:
         asked.append(float(forecast.places[0, 0, 0]))
         return torch.zeros(len(palm), 18)
 
-    monkeypatch.setattr(leader.model, "encode_history", forecast)
+    monkeypatch.setattr(leader.model, "encode_history", one_meter_a_frame)
     monkeypatch.setattr(leader.model, "act_once", act_once)
     leader.drawn(replace(windows(begin=0), delay_frames=late), 1.0)
     assert asked == [float(frame) for frame in range(late, LENGTH - 1)]
@@ -262,6 +279,13 @@ def test_a_hand_that_the_policy_leads_follows_its_head(monkeypatch: pytest.Monke
     way = (palm[:, 1:] - palm[:, :-1]) / STEP_M
     wanted = torch.nn.functional.normalize(corner - palm[:, :-1], dim=-1)
     torch.testing.assert_close(way, wanted, atol=1e-3, rtol=0)
+
+
+def one_meter_a_frame(frames: Frames, rows: torch.Tensor) -> Forecast:
+    """Forecasts of targets that are one meter farther in every frame."""
+    places = rows[..., None] + torch.tensor(FORECAST_FRAMES)
+    places = places[..., None].expand(-1, -1, -1, 3).float()
+    return Forecast(places.new_zeros(*rows.shape, TINY_OBACT["dim"]), places)
 
 
 # -- losses ----------------------------------------------------------------------------------------
@@ -295,6 +319,20 @@ def test_a_palm_is_rolled_out_from_when_the_first_command_takes_effect(late: int
     still = lambda forecast, palm, state: palm  # noqa: E731
     assert rolled_out(window, still, 10, late=late) < 0.05
     assert rolled_out(window, still, 11, late=late) > 1
+
+
+def test_a_palm_is_rolled_out_beyond_the_window():
+    """A target that waits 50 cm away, which takes a palm 20 frames."""
+    window = windows(1)
+    path = (torch.tensor([0.5, 0.0, 0.0])).expand(1, 200, 3)
+    state = torch.zeros(1, LENGTH, 18)
+    window = replace(
+        window,
+        targets=replace(window.targets, path=path, length=torch.tensor([200])),
+        frames=replace(window.frames, state=state),
+    )
+    there = lambda forecast, palm, state: path[:, 0]  # noqa: E731
+    assert rolled_out(window, there, LENGTH - 4) < 0.05
 
 
 def test_the_closed_loop_loss_falls_where_the_head_learns_to_meet_the_target():
