@@ -51,15 +51,19 @@ def window_losses(model: ObActModel, window: Window, teacher: Teacher | None) ->
         return {"action": recorded_loss(model, window)}
     n_frames = window.recorded.shape[1]
     delay = window.delay_frames
-    now = torch.full_like(window.begin, config.n_obs_steps - 1)[:, None]
-    # the last decision takes effect before the catch, in the window, and with two known frames of
-    # the target's path, in which to meet it, still to come
+    # the first decision takes effect when the hand may move, if the window shows that frame, but
+    # rests on all frames of the episode so far, or on `n_obs_steps`
+    hidden = window.frames.hidden
+    earliest = torch.full_like(window.begin, config.n_obs_steps - 1)
+    if hidden is not None:
+        earliest = torch.where(hidden.any(1), hidden.sum(1), earliest)
+    first = torch.maximum(window.begin.clamp_max(n_frames - 1) - delay, earliest)[:, None]
+    # the last one takes effect before the catch, in the window, and with two known frames of the
+    # target's path, in which to meet it, still to come
     last = torch.minimum(targets.catch, targets.length - 2).clamp_max(n_frames) - 1 - delay
-    spread = torch.rand(len(now), config.n_decisions, device=now.device)
-    rows = now + (spread * (last[:, None] - now + 1).clamp_min(0)).long()
-    # from the first decision that takes effect when the hand may move, if the window has that frame
-    first = torch.minimum(window.begin, window.begin.new_tensor(n_frames - 1)) - delay
-    rolled = first[:, None].clamp(min=now) + torch.arange(config.n_future_steps, device=now.device)
+    spread = torch.rand(len(first), config.n_decisions, device=first.device)
+    rows = first + (spread * (last[:, None] - first + 1).clamp_min(0)).long()
+    rolled = first + torch.arange(config.n_future_steps, device=first.device)
     beyond = (rolled - (n_frames - 1)).clamp_min(0)
     plays = config.n_future_steps > 0 and config.closed_loop_weight > 0
     decided = torch.cat([rows, rolled - beyond], dim=1) if plays else rows

@@ -155,20 +155,39 @@ def test_virtual_hands_wait_until_they_may_move_and_go_no_faster_than_they_can(l
 
 
 @pytest.mark.parametrize("late", [0, 3])
-def test_the_closed_loop_begins_with_the_first_decision_that_moves_the_hand(
-    monkeypatch: pytest.MonkeyPatch, late: int
+@pytest.mark.parametrize(
+    ("begin", "n_hidden", "moves"),
+    [
+        (PAST + 4, 0, PAST + 4),
+        (7, 2, 7),  # in a window that shows the episode from its first frame on
+        (4, 6, 6),  # in one that does not show when it could first move
+        (7, 0, PAST - 1),  # in a later one, whose first rows have seen too little
+        (LENGTH + 9, 0, LENGTH - 1),
+    ],
+)
+def test_the_first_decision_is_the_one_that_moves_the_hand(
+    monkeypatch: pytest.MonkeyPatch, late: int, begin: int, n_hidden: int, moves: int
 ):
-    begun = []
+    decided = {}
+
+    def decision_losses(*args: Any) -> dict[str, torch.Tensor]:
+        decided["imitation"] = args[3]
+        return {}
 
     def closed_loop_loss(*args: Any) -> torch.Tensor:
-        rows = args[3]
-        begun.append(rows[:, 0])
-        return torch.zeros(len(rows))
+        decided["closed loop"] = args[3]
+        return torch.zeros(len(args[3]))
 
+    monkeypatch.setattr("lerobot_policy_obact.losses.decision_losses", decision_losses)
     monkeypatch.setattr("lerobot_policy_obact.losses.closed_loop_loss", closed_loop_loss)
-    window = replace(windows(begin=PAST + 4), delay_frames=late)
+    window = replace(windows(begin=begin), delay_frames=late)
+    hidden = torch.arange(LENGTH).expand(64, -1) < n_hidden
+    window = replace(window, frames=replace(window.frames, hidden=hidden))
     window_losses(policy().model, window, teacher())
-    assert (begun[0] == PAST + 4 - late).all()
+    earliest = n_hidden or PAST - 1
+    first = max(earliest, moves - late)
+    assert (decided["closed loop"][:, 0] == first).all()
+    assert decided["imitation"].min() == first
 
 
 @pytest.mark.parametrize("late", [0, 3])
