@@ -51,13 +51,7 @@ def window_losses(model: ObActModel, window: Window, teacher: Teacher | None) ->
         return {"action": recorded_loss(model, window)}
     n_frames = window.recorded.shape[1]
     delay = window.delay_frames
-    # the first decision takes effect when the hand may move, if the window shows that frame, but
-    # rests on all frames of the episode so far, or on `n_obs_steps`
-    hidden = window.frames.hidden
-    earliest = torch.full_like(window.begin, config.n_obs_steps - 1)
-    if hidden is not None:
-        earliest = torch.where(hidden.any(1), hidden.sum(1), earliest)
-    first = torch.maximum(window.begin.clamp_max(n_frames - 1) - delay, earliest)[:, None]
+    first = first_decision(window, config.n_obs_steps)[:, None]
     # the last one takes effect before the catch, in the window, and with two known frames of the
     # target's path, in which to meet it, still to come
     last = torch.minimum(targets.catch, targets.length - 2).clamp_max(n_frames) - 1 - delay
@@ -74,6 +68,19 @@ def window_losses(model: ObActModel, window: Window, teacher: Teacher | None) ->
         rolled_forecast = forecast[:, config.n_decisions :].later(delay + beyond)
         losses["closed_loop"] = closed_loop_loss(model, rolled_forecast, window, rolled, teacher)
     return losses
+
+
+def first_decision(window: Window, n_obs_steps: int) -> Tensor:
+    """Return the frame of a window in which its first decision is taken, ``(B,)``: the one whose
+    command first moves the hand. At the least it sees ``n_obs_steps`` frames, or all of its
+    episode.
+    """
+    earliest = torch.full_like(window.begin, n_obs_steps - 1)
+    hidden = window.frames.hidden
+    if hidden is not None:  # where some are, the first of the others is the episode's first
+        earliest = torch.where(hidden.any(1), hidden.sum(1), earliest)
+    last = window.recorded.shape[1] - 1
+    return torch.maximum(window.begin.clamp_max(last) - window.delay_frames, earliest)
 
 
 def recorded_loss(model: ObActModel, window: Window) -> Tensor:
@@ -167,7 +174,8 @@ def closed_loop_loss(
     model: ObActModel, forecast: Forecast, window: Window, rows: Tensor, teacher: Teacher
 ) -> Tensor:
     """Return the loss of each window, ``(B,)``, for palms that are rolled out through decisions at
-    frames ``rows`` ``(B, R)``; the forecast counts from when these take effect.
+    frames ``rows`` ``(B, R)``, in the window or after it; the forecast counts from when these
+    take effect.
     """
     targets = window.targets
     delay = window.delay_frames

@@ -147,10 +147,8 @@ class VirtualHands:
         rows = torch.arange(max(0, n - 1 - delay), device=device).expand(len(seen.state), -1)
         forecast = self.model.encode_history(seen, rows).later(delay)
         start = ways[led, : delay + 1]
-        # the first decision that moves a hand is taken before it may move, in the frame from which
-        # it takes effect just then
-        first = (begin - delay)[led]
-        ways[led] = rolled_out(self.model, forecast, start, begin=first, pushes=pushes[led, delay:])
+        moves = (begin - delay)[led]  # the decision whose command first moves the hand
+        ways[led] = rolled_out(self.model, forecast, start, begin=moves, pushes=pushes[led, delay:])
         return ways
 
     def _pushes(self, spread_m: Tensor, begin: Tensor, n: int) -> Tensor:

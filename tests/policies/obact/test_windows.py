@@ -343,7 +343,7 @@ def test_a_palm_is_rolled_out_from_when_the_first_command_takes_effect(late: int
 def test_a_palm_is_rolled_out_beyond_the_window():
     """A target that waits 50 cm away, which takes a palm 20 frames."""
     window = windows(1)
-    path = (torch.tensor([0.5, 0.0, 0.0])).expand(1, 200, 3)
+    path = torch.tensor([0.5, 0.0, 0.0]).expand(1, 200, 3)
     state = torch.zeros(1, LENGTH, 18)
     window = replace(
         window,
