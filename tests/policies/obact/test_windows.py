@@ -300,6 +300,20 @@ def test_a_hand_that_the_policy_leads_follows_its_head(monkeypatch: pytest.Monke
     torch.testing.assert_close(way, wanted, atol=1e-3, rtol=0)
 
 
+@pytest.mark.parametrize("late", [0, 3])
+def test_a_push_moves_a_led_hand_in_its_own_frame(monkeypatch: pytest.MonkeyPatch, late: int):
+    monkeypatch.setattr("lerobot_policy_obact.windows.LED_SHARE", 1.0)
+    monkeypatch.setattr("lerobot_policy_obact.windows.LATER_SHARE", 0.0)
+    leader = hands()
+    pushes = torch.zeros(64, LENGTH, 3)
+    pushes[:, 25] = 1.0
+    monkeypatch.setattr(leader, "_pushes", lambda *_: pushes)
+    monkeypatch.setattr(leader.model, "act_once", lambda f, palm, state: state)
+    palm = leader.drawn(replace(windows(begin=20), delay_frames=late), 1.0).frames.palm
+    moved = palm.diff(dim=1).norm(dim=-1) > 0
+    assert (moved == (torch.arange(LENGTH - 1) == 25)).all()
+
+
 def one_meter_a_frame(frames: Frames, rows: torch.Tensor) -> Forecast:
     """Forecasts of targets that are one meter farther in every frame."""
     places = rows[..., None] + torch.tensor(FORECAST_FRAMES)
