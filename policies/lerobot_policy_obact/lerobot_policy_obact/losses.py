@@ -72,12 +72,12 @@ def window_losses(model: ObActModel, window: Window, teacher: Teacher | None) ->
 
 def first_decision(window: Window, n_obs_steps: int) -> Tensor:
     """Return the frame of a window in which its first decision is taken, ``(B,)``: the one whose
-    command first moves the hand. At the least it sees ``n_obs_steps`` frames, or all of its
-    episode.
+    command first moves the hand, or a later one that has seen ``n_obs_steps`` frames or the whole
+    episode so far.
     """
     earliest = torch.full_like(window.begin, n_obs_steps - 1)
     hidden = window.frames.hidden
-    if hidden is not None:  # where some are, the first of the others is the episode's first
+    if hidden is not None:  # the first frame that is not hidden is then the episode's first
         earliest = torch.where(hidden.any(1), hidden.sum(1), earliest)
     last = window.recorded.shape[1] - 1
     return torch.maximum(window.begin.clamp_max(last) - window.delay_frames, earliest)

@@ -72,7 +72,7 @@ def test_readouts_return_convex_combinations_of_earlier_positions():
 
 
 def test_a_forecast_read_later_says_where_a_target_will_be_that_circles_while_it_falls():
-    """For decisions that read it after as many frames each, or after various ones."""
+    """Decisions may share one delay, or have one each."""
     delays = torch.arange(8)
     frames = torch.tensor(FORECAST_FRAMES)
 
