@@ -47,6 +47,9 @@ from dynahoi_lerobot.world.detector import eye_state
 EPISODES_AT_ONCE = 64  # whose tables are in memory
 SIGHTINGS_PREFIX = OBSERVATION_PREFIX + "sightings."
 """Prefix of the key of a column with the sightings in a view."""
+UNREAD = ("observation.touch", "next.reward", "next.done")
+"""Columns, by how their keys begin, that no policy with such an encoder reads. LeRobot formats all
+columns for all frames of every window, so without these a sample loads in half the time."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +82,8 @@ def encode(
     """Write a copy of a dataset with sightings instead of images; ``output`` appears when it is
     complete.
 
-    Everything else that the dataset holds is kept, also what policies must not see.
+    Everything else that policies learn from is kept, and all that they must not see. Columns that
+    they do not read (`UNREAD`) are left out, because each would slow down LeRobot's loader.
 
     Args:
         root: the dataset.
@@ -113,6 +117,7 @@ def encode(
         SIGHTINGS_PREFIX + view: (values, _vector(values, views[view].names))
         for view, values in columns.items()
     }
+    left_out = [*store.image_keys, *(key for key in dataset.features if key.startswith(UNREAD))]
     provenance = deepcopy(manifest.provenance)
     provenance[ENCODED] = {"sensor": sensor, "from": manifest.digest}
     if environment_state:
@@ -122,7 +127,7 @@ def encode(
             provenance["recording"]["recipe"]["rules"]["environment_state"] = EYE
     with new_folder(output) as folder:
         with redirect_stderr(StringIO()):  # two bars of progress for seconds
-            modify_features(dataset, added, store.image_keys, folder, dataset.repo_id)
+            modify_features(dataset, added, left_out, folder, dataset.repo_id)
         _copy_unknown(root / "meta", folder / "meta")
         stats = json.loads((folder / paths.STATS_PATH).read_text())
         for key, (values, _) in added.items():

@@ -54,6 +54,21 @@ def test_what_policies_must_not_see_is_read_back(dataset: Path, encoded: Path):
         np.testing.assert_array_equal(frame_column(encoded, key), frame_column(dataset, key))
 
 
+def test_columns_that_nobody_learns_from_are_left_out(tmp_path: Path):
+    """They slow down LeRobot's loader; `dynahoi verify` does without them."""
+    root = generated(tmp_path / "images", "--image-size=96", "--capture=contact", episodes=2)
+    dynahoi("encode", root, tmp_path / "encoded")
+    before, after = (Store(one).features.keys() for one in (root, tmp_path / "encoded"))
+    assert before - after == {
+        "observation.images.ego",
+        "observation.touch",
+        "next.reward",
+        "next.done",
+    }
+    assert after - before == {SIGHTINGS_PREFIX + "ego"}
+    dynahoi("verify", tmp_path / "encoded")
+
+
 def test_it_is_signed_anew(dataset: Path, encoded: Path):
     before = Manifest.read(dataset)
     after = Manifest.read(encoded)

@@ -207,8 +207,9 @@ def _tips(episode: Episode, tips: np.ndarray) -> Iterator[str]:
 def _contacts(episode: Episode, rule: CaptureRule, tips: np.ndarray) -> Iterator[str]:
     """Find contacts that forces or distances contradict."""
     contacts = episode.target_contacts
-    if episode.touch is not None and rule.uses_contact_sensors:
-        wrong = contacts != (episode.touch > 0)
+    if rule.uses_contact_sensors:
+        # `dynahoi encode` leaves the forces out, and only its source can say whether they agree
+        wrong = contacts != (_forces(episode) > 0)
     else:
         wrong = (np.abs(tips - TOUCH_M) > TIP_TOLERANCE) & (contacts != (tips <= TOUCH_M))
     for frame in np.flatnonzero(wrong.any(axis=1))[:1]:
@@ -218,19 +219,25 @@ def _contacts(episode: Episode, rule: CaptureRule, tips: np.ndarray) -> Iterator
         )
 
 
+def _forces(episode: Episode) -> np.ndarray:
+    """Return the fingers' forces on the target (T, 5), or, where they are not stored, contacts."""
+    return episode.target_contacts if episode.touch is None else episode.touch
+
+
 def _track(episode: Episode) -> Track:
     """Return what the rule judges; what touched the target besides fingers is not stored, so
     ``captured`` says it.
     """
     control = episode.control
     captured = episode.captured[control]
-    touch = episode.target_contacts if episode.touch is None else episode.touch
     return Track(
         joints=episode.joints[control],
         open_joints=episode.open_joints,
         reference_joints=episode.reference_joints,
         localized=episode.localized[control],
-        contacts=TargetContacts(touch[control], captured.astype(float), (~captured).astype(float)),
+        contacts=TargetContacts(
+            _forces(episode)[control], captured.astype(float), (~captured).astype(float)
+        ),
         palm_distance_m=episode.palm_distance_m[control],
         palm_pos_h=episode.palm_pos_h[control],
     )
