@@ -4,7 +4,7 @@ A sample of a training shows the frames around one of a recording. With the targ
 recording also says what another hand would have seen:
 
     transplant  the view of the true target from another palm, plus the error that the camera made
-                in that very frame, or in one that shows the target at nearly the same place
+                in that very frame, or in the one that shows the target most nearly there
     hands       other ways through the window: led by the policy itself, or along the recorded way,
                 or in pursuit of the target, and pushed off their way now and then
 
@@ -30,18 +30,12 @@ UNITS = (0.25, 0.25, 0.3)
 one apart looks alike to the eye: as large, and at about the same place in the image."""
 VIEW_LIMIT = 2.0  # |u| and |v| are cut to this: how far out of view a target is does not matter
 IN_VIEW = 1.05  # greatest |u| and |v| of a target that is at least partly in view
-CANDIDATES = 256  # frames of the batch whose errors may be taken where the window has none alike
 DEPTH_POWER, DEPTH_RATIOS = 0.8, (0.5, 2.0)
 """Errors of the log depth grow with this power of the distance, and are scaled within these ratios
 when they are taken from one distance to another: 8 % at 0.25 m and 22 % at 0.7 m were measured."""
 
 LED_SHARE = 0.7  # of the virtual hands, that the policy leads
 RECORDED_SHARE = 0.5  # of the others, that go the recorded way; the rest pursues the target
-LATER_SHARE = 0.1
-"""Share of the virtual hands that are shown a part of the target's path after the one that was
-recorded. A recording ends soon after the catch, so none shows what follows a miss."""
-LATER_M = 0.1  # standard deviation of their palms from the target, along each axis
-LATER_FRAMES = 4  # of a path that are still to come, at least, after such a window
 PUSHED_SHARE, PUSH_M, PUSH_POWER, CHANGE_SHARE = 0.5, 0.15, 1.5, 0.12
 """Share of the virtual hands that are pushed off their way, the greatest standard deviation of the
 pushes along each axis, which is drawn as this power of a uniform number (small pushes are the more
@@ -83,19 +77,13 @@ class VirtualHands:
     @torch.no_grad()
     def drawn(self, window: Window, virtual_share: float) -> Window:
         """Return the windows with hands of which about ``virtual_share`` are virtual."""
-        targets, (b, n) = window.targets, window.recorded.shape
+        targets = window.targets
         assert targets is not None
-        device = window.begin.device
-        virtual = _chance(virtual_share, b, device) & ~targets.held
-        later = virtual & _chance(LATER_SHARE, b, device)
-        known = targets.length.clamp_max(targets.path.shape[1])
-        room = (known - n - LATER_FRAMES).clamp_min(0)
-        shown = _shown_later(window, (room * torch.rand(b, device=device)).long() * later)
+        virtual = _chance(virtual_share, len(window.begin), window.begin.device) & ~targets.held
         donors = Donors(window, self.model.forecaster.cameras)
-        shown = self._with_state(shown, donors, self._ways(shown, donors, virtual, later))
-        assert shown.targets is not None
+        shown = self._with_state(window, donors, self._ways(window, donors, virtual))
         catch = torch.where(virtual, self._catch(shown), targets.catch)
-        return replace(shown, targets=replace(shown.targets, catch=catch))
+        return replace(shown, targets=replace(targets, catch=catch))
 
     def _catch(self, window: Window) -> Tensor:
         """Return the frames in which hands have caught their targets, ``(B,)``; of those that do
@@ -111,7 +99,7 @@ class VirtualHands:
         first = torch.where(caught, frame + 1, targets.length[:, None])
         return torch.cat([first, targets.length[:, None]], dim=1).amin(1)
 
-    def _ways(self, window: Window, donors: Donors, virtual: Tensor, later: Tensor) -> Tensor:
+    def _ways(self, window: Window, donors: Donors, virtual: Tensor) -> Tensor:
         """Return the states of the hands, ``(B, L, S)``.
 
         Virtual hands go along the recorded way or in pursuit; led ones follow what they would have
@@ -126,12 +114,11 @@ class VirtualHands:
         delay = window.delay_frames
         spread_m = PUSH_M * torch.rand(b, 1, device=device) ** PUSH_POWER
         spread_m = spread_m * (virtual & _chance(PUSHED_SHARE, b, device))[:, None]
-        near = path[:, 0] + LATER_M * torch.randn(b, 3, device=device)
-        start = torch.where(later[:, None], near, recorded[:, 0, :3])
+        start = recorded[:, 0, :3]
         moved = start + spread_m * torch.randn(b, 3, device=device)
-        start = torch.where((begin > 0)[:, None], recorded[:, 0, :3], moved)
+        start = torch.where((begin > 0)[:, None], start, moved)
         pushes = self._pushes(spread_m, begin, n)
-        follows = (_chance(RECORDED_SHARE, b, device) & ~later)[:, None]
+        follows = _chance(RECORDED_SHARE, b, device)[:, None]
         way = [torch.cat([start, recorded[:, 0, 3:]], dim=-1)]
         for t in range(n - 1):
             palm = recorded[:, t + 1, :3] + start - recorded[:, 0, :3]
@@ -212,8 +199,8 @@ class Donors:
     def _with_errors(self, view: Tensor, was: Tensor, seen: Tensor) -> Tensor:
         """Return what one camera sees, ``(B, L, 5)``, whose true view is ``(B, L, 3)``."""
         donor = self._nearest(view, was)
-        seen = seen.flatten(0, 1)[donor]
-        was = was.flatten(0, 1)[donor]
+        seen = gather_frames(seen, donor)
+        was = gather_frames(was, donor)
         error = seen[..., :3] - was
         farther = ((view - was)[..., 2:] * DEPTH_POWER).exp().clamp(*DEPTH_RATIOS)
         error = torch.cat([error[..., :2], error[..., 2:] * farther], dim=-1)
@@ -222,29 +209,13 @@ class Donors:
         return torch.where((was[..., :2].abs().amax(-1) < IN_VIEW)[..., None], moved, seen)
 
     def _nearest(self, view: Tensor, was: Tensor) -> Tensor:
-        """Return of which frame of the batch to take the error, ``(B, L)``, counted through all
-        windows.
-
-        That is the preferred one, if it looked alike (less than one apart in `UNITS`); else the one
-        of the same window that looked most alike; or, if not even that looked alike, the most alike
-        of that and `CANDIDATES` frames of the batch.
+        """Return of which frame of the window to take the error, ``(B, L)``: the preferred one, if
+        it looked alike (less than one apart in `UNITS`), else the one that looked most alike.
         """
-        n_windows, n_frames = self.usable.shape
-        now = _in_units(view)
-        then = _in_units(was)
-        apart = torch.cdist(now, then).masked_fill(~self.usable[:, None], torch.inf)  # (B, L, L)
+        apart = torch.cdist(_in_units(view), _in_units(was))  # (B, L, L)
+        apart = apart.masked_fill(~self.usable[:, None], torch.inf)
         to_preferred = apart.gather(2, self.preferred[..., None])[..., 0]
-        least, best = apart.min(-1)
-        of_window = torch.where(to_preferred < 1, self.preferred, best)
-        donor = of_window + n_frames * torch.arange(n_windows, device=view.device)[:, None]
-        lost = (to_preferred >= 1) & (least >= 1)
-        size = (int(lost.sum()), CANDIDATES)
-        other = torch.randint(n_windows * n_frames, size, device=view.device)
-        to_other = (then.flatten(0, 1)[other] - now[lost][:, None]).norm(dim=-1)
-        nearest, which = to_other.masked_fill(~self.usable.flatten()[other], torch.inf).min(-1)
-        found = other.gather(1, which[:, None])[:, 0]
-        donor[lost] = torch.where(nearest < least[lost], found, donor[lost])
-        return donor
+        return torch.where(to_preferred < 1, self.preferred, apart.argmin(-1))
 
 
 def _views(cameras: list[Pinhole], place: Tensor, palm: Tensor) -> Tensor:
@@ -257,23 +228,6 @@ def _views(cameras: list[Pinhole], place: Tensor, palm: Tensor) -> Tensor:
 def _in_units(view: Tensor) -> Tensor:
     cut = view[..., :2].clamp(-VIEW_LIMIT, VIEW_LIMIT)
     return torch.cat([cut, view[..., 2:]], dim=-1) / view.new_tensor(UNITS)
-
-
-def _shown_later(window: Window, frames: Tensor) -> Window:
-    """Return windows whose targets are so many ``frames`` ``(B,)`` further on their path."""
-    targets = window.targets
-    assert targets is not None
-    n = targets.path.shape[1]
-    index = torch.arange(n, device=frames.device) + frames[:, None]
-    path = gather_frames(targets.path, index.clamp_max(n - 1))
-    length = targets.length.clamp_max(n) - frames
-    later = replace(targets, path=path, length=length)
-    hidden = window.frames.hidden
-    row = torch.arange(window.recorded.shape[1], device=frames.device)
-    if hidden is not None:
-        hidden = row < (hidden.sum(1) - frames)[:, None]
-    seen = replace(window.frames, hidden=hidden)
-    return replace(window, frames=seen, begin=window.begin - frames, targets=later)
 
 
 def _chance(share: float, n: int, device: torch.device) -> Tensor:

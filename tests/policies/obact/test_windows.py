@@ -246,29 +246,6 @@ def test_windows_may_be_short(past: int, future: int, late: int):
     assert all(loss.isfinite().all() for loss in losses.values())
 
 
-def test_a_target_known_for_long_is_shown_within_what_a_window_holds_of_its_path():
-    window = windows()
-    long = replace(window.targets, length=window.targets.length + 500)
-    shown = hands().drawn(replace(window, targets=long), 1.0)
-    assert (shown.begin < window.begin).any()
-    assert (shown.targets.length > LENGTH).all()
-
-
-def test_what_is_shown_later_on_a_path_was_never_hidden():
-    window = windows()
-    early = torch.arange(LENGTH).expand(64, LENGTH) < 10
-    window = replace(
-        window,
-        recorded=~early,
-        begin=window.begin + 10,
-        frames=replace(window.frames, hidden=early),
-    )
-    shown = hands().drawn(window, 1.0)
-    later = window.begin - shown.begin
-    assert (later > 0).any()
-    assert (shown.frames.hidden.sum(1) == (10 - later).clamp_min(0)).all()
-
-
 def test_a_led_hand_reads_the_forecast_of_when_its_commands_take_effect(
     monkeypatch: pytest.MonkeyPatch,
 ):
@@ -303,7 +280,6 @@ def test_a_hand_that_the_policy_leads_follows_its_head(monkeypatch: pytest.Monke
 @pytest.mark.parametrize("late", [0, 3])
 def test_a_push_moves_a_led_hand_in_its_own_frame(monkeypatch: pytest.MonkeyPatch, late: int):
     monkeypatch.setattr("lerobot_policy_obact.windows.LED_SHARE", 1.0)
-    monkeypatch.setattr("lerobot_policy_obact.windows.LATER_SHARE", 0.0)
     leader = hands()
     pushes = torch.zeros(64, LENGTH, 3)
     pushes[:, 25] = 1.0
