@@ -48,8 +48,8 @@ EPISODES_AT_ONCE = 64  # whose tables are in memory
 SIGHTINGS_PREFIX = OBSERVATION_PREFIX + "sightings."
 """Prefix of the key of a column with the sightings in a view."""
 UNREAD = ("observation.touch", "next.reward", "next.done")
-"""Columns, by how their keys begin, that no policy with such an encoder reads. LeRobot formats all
-columns for all frames of every window, so without these a sample loads in half the time."""
+"""Columns that no policy with such an encoder reads. LeRobot formats all columns for all frames of
+every window, so each one slows its loader down."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,8 +82,7 @@ def encode(
     """Write a copy of a dataset with sightings instead of images; ``output`` appears when it is
     complete.
 
-    Everything else that policies learn from is kept, and all that they must not see. Columns that
-    they do not read (`UNREAD`) are left out, because each would slow down LeRobot's loader.
+    Everything else is kept, also what policies must not see, except for the columns `UNREAD`.
 
     Args:
         root: the dataset.
@@ -117,7 +116,7 @@ def encode(
         SIGHTINGS_PREFIX + view: (values, _vector(values, views[view].names))
         for view, values in columns.items()
     }
-    left_out = [*store.image_keys, *(key for key in dataset.features if key.startswith(UNREAD))]
+    left_out = [*store.image_keys, *(key for key in UNREAD if key in dataset.features)]
     provenance = deepcopy(manifest.provenance)
     provenance[ENCODED] = {"sensor": sensor, "from": manifest.digest}
     if environment_state:
