@@ -4,7 +4,8 @@ A sample of a training shows the frames around one of a recording. With the targ
 recording also says what another hand would have seen:
 
     transplant  the view of the true target from another palm, plus the error that the camera made
-                in that very frame, or in the one that shows the target most nearly there
+                in that very frame, or, if the target was elsewhere in its image, in the frame of
+                the window that looks most alike
     hands       other ways through the window: led by the policy itself, or along the recorded way,
                 or in pursuit of the target, and pushed off their way now and then
 
@@ -114,9 +115,8 @@ class VirtualHands:
         delay = window.delay_frames
         spread_m = PUSH_M * torch.rand(b, 1, device=device) ** PUSH_POWER
         spread_m = spread_m * (virtual & _chance(PUSHED_SHARE, b, device))[:, None]
-        start = recorded[:, 0, :3]
-        moved = start + spread_m * torch.randn(b, 3, device=device)
-        start = torch.where((begin > 0)[:, None], start, moved)
+        moves_at_once = (begin <= 0)[:, None]
+        start = recorded[:, 0, :3] + moves_at_once * spread_m * torch.randn(b, 3, device=device)
         pushes = self._pushes(spread_m, begin, n)
         follows = _chance(RECORDED_SHARE, b, device)[:, None]
         way = [torch.cat([start, recorded[:, 0, 3:]], dim=-1)]
