@@ -57,7 +57,7 @@ def until_catch(window: Window, hand: int) -> int:
 
 def draw_from_above(axes: Axes, policy: ObActPolicy, window: Window, hand: int, color: str) -> None:
     """Draw the way of a palm, and where it sees the target [m]."""
-    centers, rays = policy.acting.forecaster.sighted(window.frames)
+    centers, rays = policy.model.forecaster.sighted(window.frames)
     last = until_catch(window, hand)
     palm = window.frames.palm[hand, :last]
     seen = (centers + rays)[hand, :last, 0]
@@ -68,7 +68,7 @@ def draw_from_above(axes: Axes, policy: ObActPolicy, window: Window, hand: int, 
 
 def draw_in_image(axes: Axes, policy: ObActPolicy, window: Window, hand: int, color: str) -> None:
     """Draw where the target is in the images of a hand, and where the eye sees it."""
-    camera = policy.acting.forecaster.cameras[0]
+    camera = policy.model.forecaster.cameras[0]
     assert window.targets is not None
     last = until_catch(window, hand)
     true = camera.seen(window.targets.path[hand, :last] - window.frames.palm[hand, :last])

@@ -134,7 +134,7 @@ def tiny_obact(folder: Path) -> Path:
     """Write an ObAct for images of 32 pixels, which sees six frames and executes half of its chunks
     of eight.
     """
-    small = TINY_OBACT | {"ema_decay": 0.0, "horizon": 8, "n_obs_steps": 6, "n_action_steps": 4}
+    small = TINY_OBACT | {"horizon": 8, "n_obs_steps": 6, "n_action_steps": 4}
     return saved(ObActConfig(**small, **FEATURES), folder)
 
 

@@ -131,8 +131,7 @@ def load_policy(
         )
     except Exception as error:  # whatever a policy or a processor raises about a bad checkpoint
         raise PolicyError(f"{folder} cannot be loaded: {reason(error)}") from error
-    # a base may hold an average of its weights as well, which an adapter does without
-    _check_fit(weights, weights_folder / WEIGHTS, surplus_allowed=base is not None)
+    _check_fit(weights, weights_folder / WEIGHTS)
     if adapted:
         _check_fit(adapted, folder / ADAPTER_WEIGHTS)
     for name, pipeline in zip(PIPELINES, pipelines, strict=True):
@@ -212,7 +211,7 @@ def _quiet() -> Iterator[None]:
         logging.disable(before)
 
 
-def _check_fit(state: Mapping[str, Any], file: Path, *, surplus_allowed: bool = False) -> None:
+def _check_fit(state: Mapping[str, Any], file: Path) -> None:
     """Refuse a file whose weights are missing, surplus or of another shape; of tied weights it
     holds one.
     """
@@ -227,7 +226,7 @@ def _check_fit(state: Mapping[str, Any], file: Path, *, surplus_allowed: bool = 
             for name, tensor in weights.items()
             if name not in shapes and tensor.data_ptr() not in tied
         ],
-        "has surplus": [] if surplus_allowed else [name for name in shapes if name not in weights],
+        "has surplus": [name for name in shapes if name not in weights],
         "has misshapen": [name for name in both if tuple(weights[name].shape) != shapes[name]],
     }
     for problem, names in problems.items():

@@ -10,7 +10,6 @@ import torch
 from lerobot.configs import PreTrainedConfig
 from lerobot.policies.factory import make_policy
 from lerobot_env_dynahoi.configuration_dynahoi import DynahoiEnvConfig
-from lerobot_policy_obact import ObActPolicy
 from safetensors.torch import load_file, save_file
 
 from dynahoi_lerobot.core.reading import sha256
@@ -66,21 +65,6 @@ def test_an_adapter_acts_as_lerobot_makes_it_act(adapter: Path, monkeypatch) -> 
     acted = [policy.select_action(observation(config)) for policy in (theirs, ours, plain)]
     torch.testing.assert_close(acted[0], acted[1], atol=0, rtol=0)
     assert not torch.allclose(acted[0], acted[2]), "the adapter changes something"
-
-
-def test_an_adapter_of_a_checkpoint_with_an_average_adapts_the_average(actor, tmp_path) -> None:
-    config = PreTrainedConfig.from_pretrained(str(actor))
-    config.ema_decay = 0.9
-    policy = ObActPolicy(config)
-    for weight in policy.acting.parameters():
-        weight.data += 0.05 * torch.randn_like(weight)
-    acted = []
-    for name in ("training", "average"):
-        policy.save_pretrained(shutil.copytree(actor, tmp_path / name))
-        policy.keep_average()
-        adapted = PolicyAgent(str(tiny_adapter(tmp_path / name, tmp_path / f"{name}_adapter")))
-        acted.append(adapted._policy.select_action(observation(config)))
-    torch.testing.assert_close(*acted, atol=0, rtol=0)
 
 
 def test_the_base_is_found_from_any_folder(adapter: Path, monkeypatch, tmp_path) -> None:

@@ -28,7 +28,6 @@ AT_LEAST = {
     "n_decisions": 1,
     "forecast_weight": 0,
     "closed_loop_weight": 0,
-    "imitation_steps": 0,
 }
 """Options by the least that they may be."""
 HEADS: dict[str, Callable[..., Any]] = {
@@ -113,7 +112,7 @@ class ObActConfig(PreTrainedConfig):
     width: int = 256  # size of the context that the head reads, ``C``
 
     n_hands: int = 2  # hands that are drawn for each window, see `windows`
-    virtual_share: float = 0.8  # share of those that are virtual; others are shown as recorded
+    virtual_share: float = 0.8  # share of those that the policy leads; others are as recorded
     n_decisions: int = 6  # decisions of a hand at which the losses of forecast and action are taken
     delayed_share: float = 0.5
     """Share of the training steps in which inference takes 1 to ``horizon - 1`` frames: a policy
@@ -124,9 +123,6 @@ class ObActConfig(PreTrainedConfig):
     closed_loop_weight: float = 4.0
     """Weight of the loss of palms that are rolled out, see `losses`; with 10 that loss became no
     smaller."""
-    imitation_steps: int = 150
-    """Steps before that loss counts: hands led by random weights would teach little."""
-    ema_decay: float = 0.995  # of the average of the weights, which acts
 
     embodiment: Embodiment = field(default_factory=Embodiment)  # taken from the dataset
     rules: dict[str, Any] = field(default_factory=dict)
@@ -160,7 +156,6 @@ class ObActConfig(PreTrainedConfig):
         self._require(not self.encoder or self.encoder in ENCODERS, "encoder", allowed)
         self._require(self.head in HEADS, "head", f"one of {', '.join(HEADS)}")
         self._require(0 <= self.delayed_share <= 1, "delayed_share", "0 to 1")
-        self._require(0 <= self.ema_decay < 1, "ema_decay", "0 or more and below 1")
         identity = all(
             mode == NormalizationMode.IDENTITY for mode in self.normalization_mapping.values()
         )

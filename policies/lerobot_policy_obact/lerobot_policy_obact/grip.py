@@ -108,12 +108,6 @@ class Grip(Teacher):
         near = self._from_seat(offsets).norm(dim=-1) < HELD_M
         return near & (self._closed(joints) > HELD_SHARE)
 
-    def pursued(self, state: Tensor, place: Tensor, next_place: Tensor) -> Tensor:
-        """See `Teacher.pursued`: along with the target, closer to it, and then closed."""
-        offset, closes = _approach(self._from_seat(state[:, :3] - place))
-        palm = next_place - state.new_tensor(SEAT_M) + offset
-        return torch.cat([palm, self.joints(closes.to(state))], dim=-1)
-
     def joints(self, closing: Tensor) -> Tensor:
         """See `Teacher.joints`: closed farther than fingers around a target can, which makes them
         press.

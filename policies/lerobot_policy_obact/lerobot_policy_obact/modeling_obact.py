@@ -11,15 +11,13 @@ from collections import deque
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, cast
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import torch
 from einops import rearrange
 from lerobot.policies.pretrained import PreTrainedPolicy
 from lerobot.utils.constants import ACTION
-from safetensors.torch import load_file
 from torch import Tensor
-from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from .commands import CommandBuffer
 from .configuration_obact import ObActConfig
@@ -33,9 +31,6 @@ if TYPE_CHECKING:
     from .dataset import TargetTable
     from .forecaster import Forecast
     from .windows import Window
-
-AVERAGED = "average.module."
-"""Names of averaged weights begin so in a file."""
 
 
 class Decision(NamedTuple):
@@ -92,7 +87,6 @@ class ObActPolicy(PreTrainedPolicy):
             self.model.load_pretrained()
         if dataset_stats is not None:
             self.model.adopt_stats(dataset_stats)
-        self.average = AveragedModel(self.model).requires_grad_(False) if config.ema_decay else None
         self.reset()
 
     # -- training ----------------------------------------------------------------------------------
@@ -109,7 +103,7 @@ class ObActPolicy(PreTrainedPolicy):
         if self.targets is not None:
             teacher = self.targets.teacher
             window = self._with_hands(window)
-        losses = window_losses(self._learner, window, teacher)
+        losses = window_losses(self.model, window, teacher)
         logged = {name: float(loss.detach().mean()) for name, loss in losses.items()}
         total = torch.stack([self._weight(name) * loss for name, loss in losses.items()]).sum(0)
         if self.targets is not None:
@@ -118,11 +112,6 @@ class ObActPolicy(PreTrainedPolicy):
         if reduction == "none":
             return rearrange(total, "(b n) -> b n", b=len(batch[ACTION])).mean(1), logged
         return total.mean(), logged
-
-    @property
-    def _learner(self) -> ObActModel:
-        """The weights whose losses are taken: those that learn, or in evaluation those that act."""
-        return self.model if self.training else self.acting
 
     def _window(self, batch: Batch) -> Window:
         """Return the windows of a batch, with the targets in them, if the dataset has these."""
@@ -158,11 +147,11 @@ class ObActPolicy(PreTrainedPolicy):
         return delay_frames
 
     def _with_hands(self, window: Window) -> Window:
-        """Return windows with several hands for each, of which the acting weights lead some."""
+        """Return windows with several hands for each, of which the policy leads some."""
         from .windows import VirtualHands
 
         assert self.targets is not None
-        hands = VirtualHands(self.config, self.targets.teacher, self.acting)
+        hands = VirtualHands(self.config, self.targets.teacher, self.model)
         virtual_share = self.config.virtual_share if self.training else 0.0
         return hands.drawn(window.repeated(self.config.n_hands), virtual_share)
 
@@ -177,7 +166,7 @@ class ObActPolicy(PreTrainedPolicy):
             observed = config.cameras[0]
             images = {key: batch[key] for key in config.cameras}
             before = {key: torch.cat([x[:, :1], x[:, :-1]], dim=1) for key, x in images.items()}
-            sightings = self._learner.encode_images(images, before)
+            sightings = self.model.encode_images(images, before)
         offsets = torch.tensor(config.observation_delta_indices, device=sightings.device)
         all_frames = torch.zeros(sightings.shape[:2], dtype=torch.bool, device=sightings.device)
         recorded = ~batch.get(f"{observed}_is_pad", all_frames)
@@ -186,24 +175,10 @@ class ObActPolicy(PreTrainedPolicy):
         return Frames(sightings, state, offsets / config.embodiment.fps, hidden), recorded
 
     def _weight(self, name: str) -> float:
-        """Return the weight of a loss; hands led by random weights would teach little."""
-        if name == "forecast":
-            return self.config.forecast_weight
-        if name == "closed_loop":
-            steps = self.config.imitation_steps
-            competent = self.average is None or int(self.average.n_averaged) >= steps
-            return self.config.closed_loop_weight * competent
-        return 1.0
-
-    def update(self) -> None:
-        """Update the averaged weights after an optimizer step; random first weights are soon
-        forgotten.
-        """
-        if self.average is not None:
-            n = int(self.average.n_averaged)
-            decay = min(self.config.ema_decay, (1 + n) / (10 + n))
-            self.average.multi_avg_fn = get_ema_multi_avg_fn(decay)
-            self.average.update_parameters(self.model)
+        return {
+            "forecast": self.config.forecast_weight,
+            "closed_loop": self.config.closed_loop_weight,
+        }.get(name, 1.0)
 
     def get_optim_params(self) -> list[dict[str, Any]]:
         """Return parameter groups: weight decay for matrices and tables, none for vectors."""
@@ -216,11 +191,6 @@ class ObActPolicy(PreTrainedPolicy):
     # -- acting ------------------------------------------------------------------------------------
 
     @property
-    def acting(self) -> ObActModel:
-        """The weights that act: the averaged ones."""
-        return self.model if self.average is None else cast("ObActModel", self.average.module)
-
-    @property
     def _actor(self) -> ObActModel:
         """The network that acts until the next reset, in double precision.
 
@@ -230,7 +200,7 @@ class ObActPolicy(PreTrainedPolicy):
         """
         if not self._actors:
             exact = self.config.exact
-            self._actors.append(deepcopy(self.acting).double() if exact else self.acting)
+            self._actors.append(deepcopy(self.model).double() if exact else self.model)
         return self._actors[0]
 
     def reset(self) -> None:
@@ -423,42 +393,6 @@ class ObActPolicy(PreTrainedPolicy):
         more.
         """
         return super().from_pretrained(pretrained_name_or_path, load_pretrained=False, **kwargs)
-
-    @classmethod
-    def _load_as_safetensor(
-        cls, model: Self, model_file: str, map_location: str, strict: bool
-    ) -> Self:
-        """Load weights, of which a file has those that learned and their average, or one of them.
-
-        A policy that keeps no average, such as the base of an adapter, goes on with the averaged
-        weights, and one that averages begins with those that are there.
-        """
-        loaded = super()._load_as_safetensor(model, model_file, map_location, strict)
-        stored = load_file(model_file, device="cpu")
-        averaged = {
-            name.removeprefix(AVERAGED): weight
-            for name, weight in stored.items()
-            if name.startswith(AVERAGED)
-        }
-        if loaded.average is None and averaged:
-            loaded.model.load_state_dict(averaged)
-        if loaded.average is not None and not averaged:
-            loaded.average.module.load_state_dict(loaded.model.state_dict())
-        return loaded
-
-    def keep_average(self) -> None:
-        """Continue with the averaged weights alone, which acted so far."""
-        if self.average is not None:
-            self.model.load_state_dict(self.average.module.state_dict())
-            self.average = None
-            self.config.ema_decay = 0.0
-
-    def wrap_with_peft(self, *args: Any, **kwargs: Any) -> PreTrainedPolicy:
-        """Add adapters to the acting weights. Adapters are not averaged, so the average becomes the
-        base.
-        """
-        self.keep_average()
-        return super().wrap_with_peft(*args, **kwargs)
 
     def _get_default_peft_targets(self) -> dict[str, Any]:
         targets = r"model\.forecaster\.blocks\..*\.(qkv|out)"

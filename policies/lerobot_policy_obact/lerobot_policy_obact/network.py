@@ -189,7 +189,6 @@ def rolled_out(
     way: Tensor,
     *,
     begin: Tensor | None = None,
-    pushes: Tensor | None = None,
 ) -> Tensor:
     """Return the states ``(B, W + R, S)`` of hands that follow the head through R decisions: where
     their palms are [m], and, if these must grip, their fingers; the rest stays as it is.
@@ -199,7 +198,6 @@ def rolled_out(
         forecast: of the decisions, ``(B, R)``.
         way: states until the first of these takes effect, ``(B, W, S)``.
         begin: the decision from which on the hand moves, ``(B,)``; by default the first.
-        pushes: by which goals are off, ``(B, R', 3)`` [m], R' >= R.
     """
     ways = [*way.unbind(1)]
     step_m = model.config.embodiment.step_m
@@ -207,11 +205,8 @@ def rolled_out(
         state = ways[-1]
         palm = palm_of(state)
         action = model.act_once(forecast[:, r], palm, state)
-        goal = palm_of(action)
-        if pushes is not None:
-            goal = goal + pushes[:, r]
         rest = action if model.config.grips else state
-        moved = torch.cat([stepped(palm, goal, step_m), rest[:, 3:]], dim=-1)
+        moved = torch.cat([stepped(palm, palm_of(action), step_m), rest[:, 3:]], dim=-1)
         ways.append(moved if begin is None else torch.where((begin <= r)[:, None], moved, state))
     return torch.stack(ways, dim=1)
 

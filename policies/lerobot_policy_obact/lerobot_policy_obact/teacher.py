@@ -113,12 +113,6 @@ class Teacher:
         """
         return self.misses(offsets) < self.radius_m
 
-    def pursued(self, state: Tensor, place: Tensor, next_place: Tensor) -> Tensor:
-        """Return the goals ``(B, S)`` of hands in states ``(B, S)`` that pursue targets. These are
-        at ``place`` now and at ``next_place`` a frame later [m], where the palm goes.
-        """
-        return torch.cat([next_place, state[:, 3:]], dim=-1)
-
     def joints(self, closing: Tensor) -> Tensor:
         """Return commands to the joints [rad], ``(..., J)``, of hands that should be closed by
         ``(...)``.

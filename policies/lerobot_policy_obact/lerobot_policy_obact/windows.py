@@ -6,8 +6,7 @@ recording also says what another hand would have seen:
     transplant  the view of the true target from another palm, plus the error that the camera made
                 in that very frame, or, if the target was elsewhere in its image, in the frame of
                 the window that looks most alike
-    hands       other ways through the window: led by the policy itself, or along the recorded way,
-                or in pursuit of the target, and pushed off their way now and then
+    hands       that the policy itself leads through the window
 
 A policy soon finds itself elsewhere than the hand that was recorded, so most windows show such
 hands. Training only.
@@ -22,7 +21,7 @@ from torch import Tensor
 
 from .camera import Pinhole
 from .configuration_obact import ObActConfig
-from .frames import Frames, Record, gather_frames, stepped
+from .frames import Frames, Record, gather_frames
 from .network import ObActModel, rolled_out
 from .teacher import Targets, Teacher
 
@@ -35,12 +34,10 @@ DEPTH_POWER, DEPTH_RATIOS = 0.8, (0.5, 2.0)
 """Errors of the log depth grow with this power of the distance, and are scaled within these ratios
 when they are taken from one distance to another: 8 % at 0.25 m and 22 % at 0.7 m were measured."""
 
-LED_SHARE = 0.7  # of the virtual hands, that the policy leads
-RECORDED_SHARE = 0.5  # of the others, that go the recorded way; the rest pursues the target
-PUSHED_SHARE, PUSH_M, PUSH_POWER, CHANGE_SHARE = 0.5, 0.15, 1.5, 0.12
-"""Share of the virtual hands that are pushed off their way, the greatest standard deviation of the
-pushes along each axis, which is drawn as this power of a uniform number (small pushes are the more
-frequent), and the share of the frames in which they change."""
+START_M, START_POWER = 0.15, 3.0
+"""Led hands start elsewhere than the recorded one was: the greatest standard deviation of that
+along each axis [m], which is drawn as this power of a uniform number, so that most start near
+it."""
 
 
 @dataclass(frozen=True)
@@ -80,10 +77,10 @@ class VirtualHands:
         """Return the windows with hands of which about ``virtual_share`` are virtual."""
         targets = window.targets
         assert targets is not None
-        virtual = _chance(virtual_share, len(window.begin), window.begin.device) & ~targets.held
+        led = _chance(virtual_share, len(window.begin), window.begin.device) & ~targets.held
         donors = Donors(window, self.model.forecaster.cameras)
-        shown = self._with_state(window, donors, self._ways(window, donors, virtual))
-        catch = torch.where(virtual, self._catch(shown), targets.catch)
+        shown = self._with_state(window, donors, self._ways(window, donors, led))
+        catch = torch.where(led, self._catch(shown), targets.catch)
         return replace(shown, targets=replace(targets, catch=catch))
 
     def _catch(self, window: Window) -> Tensor:
@@ -100,56 +97,24 @@ class VirtualHands:
         first = torch.where(caught, frame + 1, targets.length[:, None])
         return torch.cat([first, targets.length[:, None]], dim=1).amin(1)
 
-    def _ways(self, window: Window, donors: Donors, virtual: Tensor) -> Tensor:
-        """Return the states of the hands, ``(B, L, S)``.
-
-        Virtual hands go along the recorded way or in pursuit; led ones follow what they would have
-        seen on such a way.
+    def _ways(self, window: Window, donors: Donors, led: Tensor) -> Tensor:
+        """Return the states of the hands, ``(B, L, S)``: recorded, or led by what they would have
+        seen along the recorded way.
         """
-        embodiment, (b, n) = self.config.embodiment, window.recorded.shape
-        recorded = window.frames.state
-        begin = window.begin
-        device = window.begin.device
-        assert window.targets is not None
-        path = window.targets.path
+        n = window.recorded.shape[1]
         delay = window.delay_frames
-        spread_m = PUSH_M * torch.rand(b, 1, device=device) ** PUSH_POWER
-        spread_m = spread_m * (virtual & _chance(PUSHED_SHARE, b, device))[:, None]
-        moves_at_once = (begin <= 0)[:, None]
-        start = recorded[:, 0, :3] + moves_at_once * spread_m * torch.randn(b, 3, device=device)
-        pushes = self._pushes(spread_m, begin, n)
-        follows = _chance(RECORDED_SHARE, b, device)[:, None]
-        way = [torch.cat([start, recorded[:, 0, 3:]], dim=-1)]
-        for t in range(n - 1):
-            palm = recorded[:, t + 1, :3] + start - recorded[:, 0, :3]
-            along = torch.cat([palm, recorded[:, t + 1, 3:]], dim=-1)
-            pursued = self.teacher.pursued(way[-1], path[:, t], path[:, t + 1])
-            goal = torch.where(follows & donors.usable[:, t + 1, None], along, pursued)
-            palm = stepped(way[-1][:, :3], goal[:, :3] + pushes[:, t], embodiment.step_m)
-            state = torch.cat([palm, goal[:, 3:]], dim=-1)
-            way.append(torch.where((begin <= t)[:, None], state, way[-1]))
-        ways = torch.where(virtual[:, None, None], torch.stack(way, dim=1), recorded)
-        led = virtual & _chance(LED_SHARE, b, device)
+        device = window.begin.device
+        ways = window.frames.state.clone()
+        # a hand that still waits is at home
+        elsewhere = (led & (window.begin <= 0))[:, None, None]
+        spread_m = START_M * torch.rand(len(ways), 1, 1, device=device) ** START_POWER
+        ways[..., :3] += elsewhere * spread_m * torch.randn(len(ways), 1, 3, device=device)
         seen = self._with_state(window, donors, ways).frames[led]
         rows = torch.arange(max(0, n - 1 - delay), device=device).expand(len(seen.state), -1)
         forecast = self.model.encode_history(seen, rows).later(delay)
-        start = ways[led, : delay + 1]
-        moves = (begin - delay)[led]  # the decision whose command first moves the hand
-        ways[led] = rolled_out(self.model, forecast, start, begin=moves, pushes=pushes[led, delay:])
+        moves = (window.begin - delay)[led]  # the decision whose command first moves the hand
+        ways[led] = rolled_out(self.model, forecast, ways[led, : delay + 1], begin=moves)
         return ways
-
-    def _pushes(self, spread_m: Tensor, begin: Tensor, n: int) -> Tensor:
-        """Return by how much goals are off in n frames, ``(B, n, 3)`` [m]; that changes when a hand
-        may begin to move, and now and then.
-        """
-        b = len(begin)
-        device = begin.device
-        pushes = []
-        for t in range(n):
-            fresh = spread_m * torch.randn(b, 3, device=device)
-            changes = (_chance(CHANGE_SHARE, b, device) | (begin == t))[:, None]
-            pushes.append(torch.where(changes, fresh, pushes[-1]) if pushes else fresh)
-        return torch.stack(pushes, dim=1)
 
     def _with_state(self, window: Window, donors: Donors, state: Tensor) -> Window:
         """Return what hands would have seen in states ``(B, L, S)``."""

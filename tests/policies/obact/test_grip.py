@@ -34,7 +34,6 @@ OPTIONS = TINY_OBACT | {
     "horizon": 4,
     "n_obs_steps": 13,
     "n_future_steps": 24,
-    "imitation_steps": 0,
     "delayed_share": 0.0,
     "device": "cpu",
     "push_to_hub": False,
@@ -109,16 +108,18 @@ def test_its_answers_are_the_goals_that_the_expert_recorded(root: Path):
     assert told.closing.sum() == 4, "each hand closes in one frame"
 
 
-def test_a_hand_that_pursues_a_target_grips_it():
+def test_a_hand_that_follows_the_answers_grips_its_target():
     torch.manual_seed(0)
     start = torch.tensor([0.3, 0.0, 0.0]) + 0.1 * torch.randn(64, 1, 3)
     path = start + torch.arange(90)[:, None] * 0.015 * torch.rand(64, 1, 3)
+    known = torch.full((64,), 90)
+    targets = Targets(path, known, known, torch.zeros(64, dtype=torch.bool))
     hand = grip()
     way = [torch.cat([torch.zeros(64, 3), hand.open_joints.expand(64, -1)], dim=1)]
     for t in range(80):
-        goal = hand.pursued(way[-1], path[:, t], path[:, t + 1])
-        palm = stepped(way[-1][:, :3], goal[:, :3], 0.1)
-        way.append(torch.cat([palm, goal[:, 3:]], dim=1))
+        told = hand.answer(targets, torch.full((64, 1), t), way[-1][:, None, None], 1)
+        palm = stepped(way[-1][:, :3], told.goal[:, 0, 0, 0], 0.1)
+        way.append(torch.cat([palm, hand.joints(told.closing[:, 0, 0, 0])], dim=1))
     states = torch.stack(way, dim=1)
     caught = hand.caught(states[..., :3] - path[:, :81], states[..., 3:])
     assert caught.any(1).float().mean() > 0.9
@@ -250,8 +251,7 @@ def test_a_target_is_caught_once_it_was_held_for_some_frames():
 @pytest.mark.parametrize("far", [True, False])
 def test_fingers_of_led_hands_follow_the_head(root: Path, monkeypatch, *, far: bool):
     """One that closes them far from its target does not hold it; near it, it has caught it."""
-    monkeypatch.setattr("lerobot_policy_obact.windows.LED_SHARE", 1.0)
-    monkeypatch.setattr("lerobot_policy_obact.windows.PUSHED_SHARE", 0.0)
+    monkeypatch.setattr("lerobot_policy_obact.windows.START_M", 0.0)
     policy = learner(root)
     window = policy._window(batch_of(policy, root))
     assert window.targets is not None
@@ -263,12 +263,12 @@ def test_fingers_of_led_hands_follow_the_head(root: Path, monkeypatch, *, far: b
         goal = palm - 1.0 if far else palm
         return torch.cat([goal, closed.expand(len(palm), -1)], dim=-1)
 
-    monkeypatch.setattr(policy.acting, "act_once", act_once)
+    monkeypatch.setattr(policy.model, "act_once", act_once)
     if not far:  # targets that wait in the seats of their hands
         path = free.frames.palm[:, :1] + SEAT
         path = path.expand_as(free.targets.path)
         free = replace(free, targets=replace(free.targets, path=path))
-    hands = VirtualHands(policy.config, teacher, policy.acting)
+    hands = VirtualHands(policy.config, teacher, policy.model)
     torch.manual_seed(0)
     shown = hands.drawn(free, 1.0)
     assert shown.targets is not None

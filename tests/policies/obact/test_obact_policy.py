@@ -24,7 +24,6 @@ from lerobot_policy_obact import ObActConfig, ObActPolicy, dataset
 from lerobot_policy_obact.commands import CommandBuffer
 from lerobot_policy_obact.configuration_obact import Embodiment
 from lerobot_policy_obact.encoders import SHIPPED
-from lerobot_policy_obact.export import export
 from lerobot_policy_obact.frames import stepped
 from safetensors.torch import load_file
 from torch.utils.data import DataLoader
@@ -97,7 +96,6 @@ RECORDED = {
     "n_obs_steps": 13,
     "n_future_steps": 24,
     "n_decisions": 3,
-    "imitation_steps": 0,
 }
 
 
@@ -206,7 +204,6 @@ def test_the_loss_falls(changes: dict, falls: str, hand_root: Path):
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
-        policy.update()
         losses.append(told[falls])
     assert ("forecast" in told) == ("closed_loop" in told) == (falls != "action"), (
         "without a path there is neither"
@@ -278,10 +275,8 @@ def test_training_goes_on_and_begins_from_a_checkpoint(push_root: Path, tmp_path
     slow = {"path": first, "optimizer_lr": 1e-12}
     tuned = load_file(lerobot_train(push_root, tmp_path / "tuned", slow) / "model.safetensors")
     began = load_file(first / "model.safetensors")
-    weights = [name for name in began if not name.startswith("average.")]
-    assert weights
-    for name in weights:
-        torch.testing.assert_close(tuned[name], began[name], atol=1e-6, rtol=0, msg=name)
+    for name, weight in began.items():
+        torch.testing.assert_close(tuned[name], weight, atol=1e-6, rtol=0, msg=name)
 
 
 def test_without_the_targets_path_the_closed_loop_is_off_and_says_so(hand_root, tmp_path, caplog):
@@ -291,18 +286,6 @@ def test_without_the_targets_path_the_closed_loop_is_off_and_says_so(hand_root, 
     policy = learner(root)
     assert "the closed loop is off for local/tiny: it learns actions alone" in caplog.text
     assert set(policy(batch_of(policy, root))[1]) == {"action"}
-
-
-def test_the_closed_loop_counts_once_it_has_imitated(hand_root):
-    policy = learner(hand_root, imitation_steps=2, virtual_share=0.0)
-    batch = batch_of(policy, hand_root)
-    losses = []
-    for _ in range(3):
-        torch.manual_seed(0)
-        losses.append(float(policy(batch)[0]))
-        policy.update()
-    assert losses[1] == pytest.approx(losses[0], abs=1e-3)
-    assert losses[2] > losses[0] + 0.1
 
 
 def test_episodes_count_alike_however_many_windows_show_them(hand_root):
@@ -335,7 +318,7 @@ def test_each_camera_starts_from_weights_of_its_own():
         encoder_options={"weights": "{view}_96"},
         relative_dims=3,
     )
-    for eye, name in zip(policy.acting.encoders, ("ego_96", "side_96"), strict=True):
+    for eye, name in zip(policy.model.encoders, ("ego_96", "side_96"), strict=True):
         torch.testing.assert_close(
             eye.attention.query.weight, load_file(SHIPPED[name])["attention.query.weight"]
         )
@@ -398,17 +381,6 @@ def test_what_learned_to_forecast_is_not_trained_without(hand_root: Path, tmp_pa
         fine_tuned(tmp_path, hand_root, forecast_weight=0.0)
 
 
-def test_an_exported_policy_averages_again_from_its_own_weights(hand_root: Path, tmp_path: Path):
-    policy = learner(hand_root)
-    policy.keep_average()
-    policy.save_pretrained(tmp_path)
-    again = fine_tuned(tmp_path, hand_root, ema_decay=0.9)
-    before = policy.model.state_dict()
-    for name, weight in again.acting.state_dict().items():
-        if not name.startswith(("action_", "state_")):  # statistics of the dataset
-            torch.testing.assert_close(weight, before[name])
-
-
 # -- acting ----------------------------------------------------------------------------------------
 
 
@@ -418,30 +390,6 @@ def with_processors(policy: ObActPolicy, folder: Path) -> Path:
     for processor in make_pre_post_processors(policy.config):
         processor.save_pretrained(folder)
     return folder
-
-
-def test_the_average_acts_and_is_exported(tmp_path: Path):
-    policy = hand_policy(ema_decay=0.9)
-    before = policy.select_action(step(policy))
-    for _ in range(2):
-        for parameter in policy.model.parameters():
-            torch.nn.init.normal_(parameter, std=0.1)
-        policy.update()
-    policy.reset()
-    average = policy.select_action(step(policy))
-    assert not torch.equal(average, before)
-    training = with_processors(policy, tmp_path / "training")
-    out = tmp_path / "out"
-    for name in ("config.json", "policy_preprocessor.json"):  # as a machine with a GPU writes them
-        (training / name).write_text((training / name).read_text().replace('"cpu"', '"cuda"'))
-    (training / "train_config.json").write_text('{"steps": 2}')
-    export(training, out)
-    assert not any('"cuda"' in file.read_text() for file in out.glob("*.json"))
-    again = ObActPolicy.from_pretrained(out)
-    torch.testing.assert_close(again.select_action(step(policy)), average, rtol=0, atol=0)
-    assert again.average is None
-    assert {file.name for file in training.iterdir()} == {file.name for file in out.iterdir()}
-    assert (out / "train_config.json").read_text() == '{"steps": 2}'
 
 
 @pytest.mark.parametrize("name", ["obact_standard", "obact_two", "obact_contact"])
@@ -455,7 +403,7 @@ def test_a_checkpoint_that_ships_acts(name: str):
 def varied(**changes: object) -> ObActPolicy:
     """A policy whose draws differ."""
     policy = hand_policy(**{"n_action_steps": 1, "n_obs_steps": 9} | changes)
-    for parameter in policy.acting.parameters():
+    for parameter in policy.model.parameters():
         parameter.add_(0.05 * torch.randn_like(parameter))
     return policy
 

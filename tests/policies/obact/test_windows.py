@@ -76,7 +76,7 @@ def policy(**changes: object) -> ObActPolicy:
 
 def hands(actor: ObActPolicy | None = None) -> VirtualHands:
     actor = actor or policy()
-    return VirtualHands(actor.config, teacher(), actor.acting)
+    return VirtualHands(actor.config, teacher(), actor.model)
 
 
 # -- transplanted sightings ------------------------------------------------------------------------
@@ -211,8 +211,13 @@ def test_after_the_window_the_closed_loop_goes_on_with_the_last_forecast(
     assert wanted[-1] > LENGTH
 
 
-def test_a_virtual_hand_decides_until_it_has_caught_its_target():
-    shown = hands().drawn(windows(begin=0), 1.0)
+def test_a_virtual_hand_decides_until_it_has_caught_its_target(monkeypatch: pytest.MonkeyPatch):
+    window = windows()
+    begin = torch.where(torch.arange(64) % 2 == 0, 0, LENGTH - 5)  # half of them begin too late
+    leader = hands()
+    goal = torch.nn.functional.pad(window.targets.path[:, 20], (0, 15))
+    monkeypatch.setattr(leader.model, "act_once", lambda f, palm, state: goal)
+    shown = leader.drawn(replace(window, begin=begin), 1.0)
     offset = shown.frames.palm - shown.targets.path[:, :LENGTH]
     targets = shown.targets
     near = teacher().misses(offset) < teacher().radius_m
@@ -265,8 +270,6 @@ def test_a_led_hand_reads_the_forecast_of_when_its_commands_take_effect(
 
 
 def test_a_hand_that_the_policy_leads_follows_its_head(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("lerobot_policy_obact.windows.LED_SHARE", 1.0)
-    monkeypatch.setattr("lerobot_policy_obact.windows.PUSHED_SHARE", 0.0)
     corner = torch.tensor([5.0, -5.0, 5.0])
     leader = hands()
     goal = torch.cat([corner, torch.zeros(15)])
@@ -275,19 +278,6 @@ def test_a_hand_that_the_policy_leads_follows_its_head(monkeypatch: pytest.Monke
     way = (palm[:, 1:] - palm[:, :-1]) / STEP_M
     wanted = torch.nn.functional.normalize(corner - palm[:, :-1], dim=-1)
     torch.testing.assert_close(way, wanted, atol=1e-3, rtol=0)
-
-
-@pytest.mark.parametrize("late", [0, 3])
-def test_a_push_moves_a_led_hand_in_its_own_frame(monkeypatch: pytest.MonkeyPatch, late: int):
-    monkeypatch.setattr("lerobot_policy_obact.windows.LED_SHARE", 1.0)
-    leader = hands()
-    pushes = torch.zeros(64, LENGTH, 3)
-    pushes[:, 25] = 1.0
-    monkeypatch.setattr(leader, "_pushes", lambda *_: pushes)
-    monkeypatch.setattr(leader.model, "act_once", lambda f, palm, state: state)
-    palm = leader.drawn(replace(windows(begin=20), delay_frames=late), 1.0).frames.palm
-    moved = palm.diff(dim=1).norm(dim=-1) > 0
-    assert (moved == (torch.arange(LENGTH - 1) == 25)).all()
 
 
 def one_meter_a_frame(frames: Frames, rows: torch.Tensor) -> Forecast:
