@@ -67,24 +67,33 @@ def cell_rays(height: int, width: int, device: torch.device) -> Tensor:
     return rearrange(torch.stack(torch.meshgrid(u, v, indexing="xy"), dim=-1), "h w i -> (h w) i")
 
 
-class AgeBias(nn.Module):
-    """A bias on the attention logits of each head by the age of a frame; minus infinity for frames
-    that lie ahead.
+def out_of_sight(age_s: Tensor, hidden: Tensor | None) -> Tensor:
+    """Return whether frame q must not attend to frame k, ``(B, T, T)``, or ``(1, T, T)`` if none
+    are hidden: those that lie ahead, whose ``age_s`` ``(T, T)`` [s] is negative, and those that are
+    ``hidden``, ``(B, T)``. Each attends to itself.
     """
+    ahead = (age_s < -SAME_TIME_S)[None]
+    if hidden is None:
+        return ahead
+    others = ~torch.eye(len(age_s), dtype=torch.bool, device=hidden.device)
+    return ahead | (hidden[:, None] & others)
+
+
+class AgeBias(nn.Module):
+    """A bias on the attention logits of each head by the age of a frame."""
 
     def __init__(self, n_heads: int) -> None:
         super().__init__()
         self.table = nn.Parameter(torch.zeros(n_heads, N_AGES))
 
     def forward(self, age_s: Tensor) -> Tensor:
-        """Map ages ``(Q, K)`` [s], negative where a frame lies ahead, to ``(heads, Q, K)``."""
+        """Map ages ``(Q, K)`` [s] to ``(heads, Q, K)``; frames that lie ahead count as new."""
         place = (age_s / AGE_STEP_S).clamp(0, N_AGES - 1)
         younger = place.floor().long().clamp_max(N_AGES - 2)
         between = (place - younger)[..., None]  # linear interpolation
         near = nn.functional.embedding(younger, self.table.T)
         far = nn.functional.embedding(younger + 1, self.table.T)
-        bias = rearrange(torch.lerp(near, far, between), "q k heads -> heads q k")
-        return bias.masked_fill(age_s < -SAME_TIME_S, float("-inf"))
+        return rearrange(torch.lerp(near, far, between), "q k heads -> heads q k")
 
 
 class TemporalBlock(nn.Module):
@@ -102,17 +111,14 @@ class TemporalBlock(nn.Module):
         self.norm_2 = nn.LayerNorm(dim)
         self.mlp = nn.Sequential(nn.Linear(dim, 2 * dim), nn.GELU(), nn.Linear(2 * dim, dim))
 
-    def forward(self, tokens: Tensor, age_s: Tensor, hidden: Tensor | None) -> Tensor:
+    def forward(self, tokens: Tensor, age_s: Tensor, unseen: Tensor) -> Tensor:
         """Map tokens of T frames ``(B, T, D)`` to tokens; frame k is ``age_s[q, k]`` [s] older than
-        frame q. No frame attends to those that are ``hidden``, ``(B, T)``, but to itself.
+        frame q, which does not attend to it where it is ``unseen``, see `out_of_sight`.
         """
         q, k, v = rearrange(
             self.qkv(self.norm_1(tokens)), "b t (n h d) -> n b h t d", n=3, h=self.n_heads
         )
-        bias = self.bias(age_s).to(q.dtype)
-        if hidden is not None:
-            itself = torch.eye(len(age_s), dtype=torch.bool, device=hidden.device)
-            bias = bias.masked_fill(hidden[:, None, None] & ~itself, float("-inf"))
+        bias = self.bias(age_s).to(q.dtype).masked_fill(unseen[:, None], float("-inf"))
         mixed = nn.functional.scaled_dot_product_attention(q, k, v, attn_mask=bias)
         tokens = tokens + self.out(rearrange(mixed, "b h t d -> b t (h d)"))
         return tokens + self.mlp(self.norm_2(tokens))
@@ -140,22 +146,21 @@ class PositionReadout(nn.Module):
         tokens: Tensor,
         positions: Tensor,
         age_s: Tensor,
+        unseen: Tensor,
         rows: Tensor,
-        hidden: Tensor | None = None,
     ) -> tuple[Tensor, Tensor]:
         """Return positions ``(B, Q, J, 3)`` [m], and the weights of the frames in them, ``(B, Q, J,
         T)``.
 
         There are tokens ``(B, T, D)`` of T frames and positions ``(B, T, 3)`` [m] sighted in them;
-        frame k is ``age_s[q, k]`` [s] older than frame q. Decisions are taken at frames ``rows``,
-        ``(B, Q)``; see `TemporalBlock.forward` for those that are ``hidden``, ``(B, T)``.
+        see `TemporalBlock.forward` for ``age_s`` and ``unseen``. Decisions are taken at frames
+        ``rows``, ``(B, Q)``.
         """
         queries = self.query(gather_frames(tokens, rows))
         queries = rearrange(queries, "b q (j d) -> b q j d", j=self.n_points)
         bias = rearrange(self.bias(age_s), "j t s -> t j s")[rows]  # (B, Q, J, T)
-        if hidden is not None:
-            itself = nn.functional.one_hot(rows, len(age_s)).bool()
-            bias = bias.masked_fill((hidden[:, None] & ~itself)[:, :, None], float("-inf"))
+        unseen = gather_frames(unseen.expand(len(rows), -1, -1), rows)
+        bias = bias.masked_fill(unseen[:, :, None], float("-inf"))
         logits = einsum(queries, self.key(tokens), "b q j d, b s d -> b q j s") / KEY_DIM**0.5
         weights = (logits + bias).softmax(-1)
         return einsum(weights, positions, "b q j s, b s i -> b q j i"), weights

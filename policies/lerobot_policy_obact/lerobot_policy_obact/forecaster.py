@@ -17,7 +17,7 @@ from einops import rearrange
 from scipy.interpolate import CubicSpline
 from torch import Tensor, nn
 
-from .attention import PositionReadout, TemporalBlock
+from .attention import PositionReadout, TemporalBlock, out_of_sight
 from .camera import BLIND_LOG_ERROR, LOG_ERRORS, Pinhole, fused
 from .configuration_obact import ObActConfig
 from .encoders import N_SIGHTING
@@ -132,13 +132,14 @@ class Forecaster(nn.Module):
         first = position[:, :1] if hidden is None else _first_seen(position, hidden)
         tokens = self.token(_inputs(frames.sightings, rays, position - first))
         age_s = frames.time_s[:, None] - frames.time_s  # (T, T), negative ahead
+        unseen = out_of_sight(age_s, hidden)
         for block in self.blocks:
-            tokens = block(tokens, age_s, hidden)
+            tokens = block(tokens, age_s, unseen)
         tokens = self.norm(tokens)
         features = gather_frames(tokens, rows)
         points = attention = None
         if self.n_points:
-            points, attention = self.readout(tokens, position - first, age_s, rows, hidden)
+            points, attention = self.readout(tokens, position - first, age_s, unseen, rows)
         places = self._places(features, points) + first[:, :, None]
         return Forecast(features, places, attention)
 

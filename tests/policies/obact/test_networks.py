@@ -13,6 +13,7 @@ from lerobot_policy_obact.attention import (
     AgeBias,
     PositionReadout,
     SpatialAttention,
+    out_of_sight,
 )
 from lerobot_policy_obact.configuration_obact import HEADS
 from lerobot_policy_obact.forecaster import FORECAST_FRAMES, Forecast
@@ -46,8 +47,16 @@ def test_the_ray_is_that_of_the_cell_attended_to_and_of_two_targets_one_is_looke
 @pytest.mark.parametrize("fps", [20, 50, 100, 500])
 def test_no_frame_sees_one_ahead_at_any_rate(fps: int):
     times = torch.arange(8, dtype=torch.double) / fps
-    masked = AgeBias(2)((times[:, None] - times).float()).isinf()
-    assert (masked == torch.ones(8, 8).triu(1).bool()).all()
+    unseen = out_of_sight((times[:, None] - times).float(), None)
+    assert (unseen[0] == torch.ones(8, 8).triu(1).bool()).all()
+
+
+def test_a_hidden_frame_is_seen_by_itself_alone():
+    times = torch.arange(4) / 20
+    hidden = torch.tensor([[False] * 4, [True, True, False, False]])
+    unseen = out_of_sight(times[:, None] - times, hidden)
+    assert (unseen[0] == torch.ones(4, 4).triu(1).bool()).all()
+    assert (~unseen[1]).nonzero().tolist() == [[0, 0], [1, 1], [2, 2], [3, 2], [3, 3]]
 
 
 def test_bias_is_interpolated_by_age():
@@ -64,7 +73,9 @@ def test_readouts_return_convex_combinations_of_earlier_positions():
     positions = torch.arange(6.0)[None, :, None].expand(1, 6, 3)
     time_s = torch.arange(6) * 0.05
     age_s = time_s[:, None] - time_s
-    points, weights = readout(torch.randn(1, 6, 16), positions, age_s, torch.tensor([[0, 3]]))
+    unseen = out_of_sight(age_s, None)
+    rows = torch.tensor([[0, 3]])
+    points, weights = readout(torch.randn(1, 6, 16), positions, age_s, unseen, rows)
     torch.testing.assert_close(weights @ positions[:, None], points)
     torch.testing.assert_close(points[0, 0], torch.zeros(5, 3))  # nothing but the first frame
     assert (points[0, 1] >= 0).all()
