@@ -170,6 +170,16 @@ def test_a_policy_plays_without_transformers(monkeypatch: pytest.MonkeyPatch) ->
     assert PolicyAgent(str(SHIPPED)).weights
 
 
+@pytest.mark.skipif(torch.cuda.is_available(), reason="needs a machine without a GPU")
+def test_a_checkpoint_that_was_trained_on_a_gpu_plays_without_one(checkpoint: Path) -> None:
+    for name in ("config.json", PREPROCESSOR):
+        file = checkpoint / name
+        told = file.read_text()
+        assert '"device": "cpu"' in told
+        file.write_text(told.replace('"device": "cpu"', '"device": "cuda"'))
+    assert PolicyAgent(str(checkpoint)).weights
+
+
 def test_a_policy_that_is_not_installed_or_not_there_is_named(
     checkpoint: Path, monkeypatch
 ) -> None:

@@ -105,7 +105,12 @@ class ObActPolicy(PreTrainedPolicy):
             window = self._with_hands(window)
         losses = window_losses(self.model, window, teacher)
         logged = {name: float(loss.detach().mean()) for name, loss in losses.items()}
-        total = torch.stack([self._weight(name) * loss for name, loss in losses.items()]).sum(0)
+        weights = {
+            "forecast": self.config.forecast_weight,
+            "closed_loop": self.config.closed_loop_weight,
+        }
+        weighted = [weights.get(name, 1.0) * loss for name, loss in losses.items()]
+        total = torch.stack(weighted).sum(0)
         if self.targets is not None:
             weight = self.targets.weight[batch["episode_index"].flatten().cpu()].to(total)
             total = total * weight.repeat_interleave(self.config.n_hands)
@@ -173,12 +178,6 @@ class ObActPolicy(PreTrainedPolicy):
         hidden = ~recorded & (offsets <= 0)
         state = self.model.state_of(batch, sightings.shape[:2])
         return Frames(sightings, state, offsets / config.embodiment.fps, hidden), recorded
-
-    def _weight(self, name: str) -> float:
-        return {
-            "forecast": self.config.forecast_weight,
-            "closed_loop": self.config.closed_loop_weight,
-        }.get(name, 1.0)
 
     def get_optim_params(self) -> list[dict[str, Any]]:
         """Return parameter groups: weight decay for matrices and tables, none for vectors."""
