@@ -35,9 +35,8 @@ DEPTH_POWER, DEPTH_RATIOS = 0.8, (0.5, 2.0)
 when they are taken from one distance to another: 8 % at 0.25 m and 22 % at 0.7 m were measured."""
 
 START_M, START_POWER = 0.15, 3.0
-"""Led hands start elsewhere than the recorded one was: the greatest standard deviation of that
-along each axis [m], which is drawn as this power of a uniform number, so that most start near
-it."""
+"""How far from the recorded hand a virtual one starts: the greatest standard deviation along each
+axis [m], drawn as this power of a uniform number, so that most start near it."""
 
 
 @dataclass(frozen=True)
