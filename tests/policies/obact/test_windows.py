@@ -269,6 +269,14 @@ def test_a_led_hand_reads_the_forecast_of_when_its_commands_take_effect(
     assert asked == [float(frame) for frame in range(late, LENGTH - 1)]
 
 
+def test_only_hands_in_the_middle_of_their_way_start_off_the_recorded_one():
+    waiting, moving = (hands().drawn(windows(begin=begin), 1.0) for begin in (1, 0))
+    assert (waiting.frames.palm[:, 0] == 0).all()
+    away = moving.frames.palm[:, 0].norm(dim=-1)
+    assert (away > 0).all()
+    assert 0.005 < float(away.median()) < 0.1
+
+
 def test_a_hand_that_the_policy_leads_follows_its_head(monkeypatch: pytest.MonkeyPatch):
     corner = torch.tensor([5.0, -5.0, 5.0])
     leader = hands()
