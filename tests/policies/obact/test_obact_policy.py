@@ -16,7 +16,6 @@ from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.datasets.dataset_tools import merge_datasets, modify_features
 from lerobot.datasets.factory import resolve_delta_timestamps
-from lerobot.policies import make_pre_post_processors
 from lerobot.policies.rtc import RTCConfig
 from lerobot.rollout.inference.rtc import supports_rtc_inference
 from lerobot.utils.feature_utils import dataset_to_policy_features
@@ -382,14 +381,6 @@ def test_what_learned_to_forecast_is_not_trained_without(hand_root: Path, tmp_pa
 
 
 # -- acting ----------------------------------------------------------------------------------------
-
-
-def with_processors(policy: ObActPolicy, folder: Path) -> Path:
-    """Save a policy as LeRobot's training does."""
-    policy.save_pretrained(folder)
-    for processor in make_pre_post_processors(policy.config):
-        processor.save_pretrained(folder)
-    return folder
 
 
 @pytest.mark.parametrize("name", ["obact_standard", "obact_two", "obact_contact"])

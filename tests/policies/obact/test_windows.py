@@ -148,10 +148,7 @@ def test_virtual_hands_wait_until_they_may_move_and_go_no_faster_than_they_can(l
     waits = torch.arange(LENGTH - 1) < shown.begin[:, None]
     assert steps.max() <= STEP_M + 1e-5
     assert (steps[waits] == 0).all()
-    # some go the way of the recorded hand, which rests
-    assert (steps[~waits] > 0).float().mean() > 0.8
-    first = steps.gather(1, shown.begin[:, None].clamp_min(0))
-    assert (first > 0).float().mean() > 0.8
+    assert (steps[~waits] > 0).all()
 
 
 @pytest.mark.parametrize("late", [0, 3])
