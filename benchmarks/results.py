@@ -60,6 +60,7 @@ class Row:
         recipe: of the training, from the root of the repository.
         dataset: name of the dataset it learns from.
         train: options that change the recipe.
+        plays: name of another row, whose policies are evaluated in place of the last three.
         evaluate: options of the evaluation.
         seeds: training seeds 0, 1, ..., so many.
         against: name of an earlier row, from whose seed 0 the difference in S_loc is told, paired
@@ -67,9 +68,10 @@ class Row:
     """
 
     name: str
-    recipe: str
-    dataset: str
+    recipe: str = ""
+    dataset: str = ""
     train: str = ""
+    plays: str = ""
     evaluate: str = ""
     seeds: int = 1
     against: str = ""
@@ -164,19 +166,23 @@ def planned(
     runs = []
     for row in rows.values():
         if args.only is None or row.name in args.only:
+            trained = rows[row.plays or row.name]
             for seed in range(args.seeds or row.seeds):
-                runs.append(planned_run(row, seed, datasets[row.dataset], args))
+                runs.append(planned_run(row, trained, seed, datasets[trained.dataset], args))
     return runs
 
 
-def planned_run(row: Row, seed: int, dataset: dict[str, Any], args: argparse.Namespace) -> Run:
-    """Return the commands of a row: dataset, training, evaluations."""
+def planned_run(
+    row: Row, trained: Row, seed: int, dataset: dict[str, Any], args: argparse.Namespace
+) -> Run:
+    """Return the commands of a row that plays the policies of ``trained``: dataset, training,
+    evaluations.
+    """
     root = args.root.resolve()
-    slug = f"{re.sub('[^a-z0-9]+', '_', row.name.lower()).strip('_')}-{seed}"
-    data = root / "data" / row.dataset
-    recorded = data.with_name(f"{row.dataset}_images") if dataset.get("encode") else data
-    training = root / "training" / slug
-    results = root / args.split / slug
+    data = root / "data" / trained.dataset
+    recorded = data.with_name(f"{trained.dataset}_images") if dataset.get("encode") else data
+    training = root / "training" / _slug(trained, seed)
+    results = root / args.split / _slug(row, seed)
     commands = {
         recorded: [
             *("dynahoi", "generate", *shlex.split(dataset["options"])),
@@ -189,11 +195,11 @@ def planned_run(row: Row, seed: int, dataset: dict[str, Any], args: argparse.Nam
         commands[data] = ["dynahoi", "encode", str(recorded), str(data)]
     commands[training] = [
         "lerobot-train",
-        f"--config_path={row.recipe}",
+        f"--config_path={trained.recipe}",
         f"--dataset.root={data}",
         f"--output_dir={training}",
         f"--seed={seed}",
-        *shlex.split(f"{row.train} {args.train}"),
+        *shlex.split(f"{trained.train} {args.train}"),
     ]
     policy = training / "checkpoints/last/pretrained_model"
     evaluate = ["dynahoi", "evaluate", "--policy", str(policy), "--split", args.split]
@@ -202,7 +208,7 @@ def planned_run(row: Row, seed: int, dataset: dict[str, Any], args: argparse.Nam
     evaluate += shlex.split(row.evaluate)
     evaluations = {results: [*evaluate, "--out", str(results)]}
     if args.salt:
-        salted = root / f"{args.split}_salted" / slug
+        salted = root / f"{args.split}_salted" / results.name
         evaluations[salted] = [*evaluate, "--out", str(salted), "--salt", args.salt]
     return Run(
         f"{row.name}, seed {seed}",
@@ -211,6 +217,11 @@ def planned_run(row: Row, seed: int, dataset: dict[str, Any], args: argparse.Nam
         list(evaluations),
         f"{row.against}, seed 0",
     )
+
+
+def _slug(row: Row, seed: int) -> str:
+    """Return the name of a row's folders."""
+    return f"{re.sub('[^a-z0-9]+', '_', row.name.lower()).strip('_')}-{seed}"
 
 
 def pooled(folders: list[Path]) -> Results:

@@ -9,7 +9,7 @@ import sys
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -102,7 +102,8 @@ def load_policy(
     Args:
         folder: of ``checked_folder``.
         device: torch device, the policy's own if None.
-        settings: overrides of its config, ``KEY=VALUE`` each.
+        settings: overrides of its config, ``KEY=VALUE`` each, or ``KEY.PART=VALUE`` for a part of
+            a dataclass in it.
         trust: let transformers run Python files of the repositories that the config names.
 
     Raises:
@@ -165,16 +166,17 @@ def _config(folder: Path, settings: Sequence[str]) -> Any:
         entry.name: entry.default for entry in fields(PreTrainedConfig.get_choice_class(str(kind)))
     }
     _check_sizes(file, content, defaults)
-    for setting in settings:
-        key, equals, _ = setting.partition("=")
-        if not equals or key not in defaults:
-            raise PolicyError(
-                f"cannot set {setting!r}: must be KEY=VALUE, KEY one of {', '.join(defaults)}"
-            )
     try:
         config = PreTrainedConfig.from_pretrained(str(folder))
     except Exception as error:
         raise PolicyError(f"{file} is no config of a policy: {reason(error)}") from error
+    settable = _settable(config)
+    for setting in settings:
+        key, equals, _ = setting.partition("=")
+        if not equals or key not in settable:
+            raise PolicyError(
+                f"cannot set {setting!r}: must be KEY=VALUE, KEY one of {', '.join(settable)}"
+            )
     try:
         return config.from_pretrained(
             str(folder), cli_overrides=[f"--{setting}" for setting in settings]
@@ -183,6 +185,17 @@ def _config(folder: Path, settings: Sequence[str]) -> Any:
         raise PolicyError(
             f"cannot set {', '.join(settings)}: {error.__cause__ or error}"
         ) from error
+
+
+def _settable(config: Any) -> list[str]:
+    """Return what can be set in a config: its fields, and those of dataclasses in it, ``a.b``."""
+    names = []
+    for entry in fields(config):
+        names.append(entry.name)
+        value = getattr(config, entry.name)
+        if is_dataclass(value):
+            names += [f"{entry.name}.{part.name}" for part in fields(value)]
+    return names
 
 
 def _check_sizes(file: Path, content: Mapping[str, Any], defaults: Mapping[str, Any]) -> None:

@@ -70,3 +70,19 @@ def test_a_place_that_cannot_hold_the_numbers_is_refused_before_the_work(place, 
     Path("file").touch()
     with pytest.raises(SystemExit, match="2"):
         run("pin", "--json", place)
+
+
+def test_a_row_may_play_the_policies_of_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["results.py", "--dry-run", "--only", "ObAct", "ObAct, late"])
+    importlib.import_module("results").main()
+    commands = capsys.readouterr().out.splitlines()
+    for program in ("dynahoi generate", "dynahoi encode", "lerobot-train"):
+        of_seed_0 = [line for line in commands if line.startswith(program)]
+        assert len(of_seed_0) == 4, "three seeds, and the first one again"
+        assert of_seed_0[0] == of_seed_0[3]
+    plain, *_, late = [line for line in commands if line.startswith("dynahoi evaluate")]
+    assert plain.split(" --split")[0] == late.split(" --split")[0], "the same policy"
+    assert plain.split("--out")[1] != late.split("--out")[1]

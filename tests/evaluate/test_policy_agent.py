@@ -3,6 +3,7 @@ shown.
 """
 
 import copy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -91,11 +92,26 @@ def test_guidance_continues_what_is_left_of_a_chunk_or_where_it_led(specs, monke
 
 
 @pytest.mark.parametrize(
-    "setting", ["delay=3", "inference_delay", "n_action_steps=9", "inference_delay=few"]
+    "setting",
+    [
+        "delay=3",
+        "inference_delay",
+        "n_action_steps=9",
+        "inference_delay=few",
+        "embodiment.delay=3",
+        "head_options.n_draws=4",
+    ],
 )
 def test_what_cannot_be_set_is_named(setting: str) -> None:
     with pytest.raises(PolicyError, match=f"cannot set '?{setting}"):
         PolicyAgent(CHECKPOINT, settings=[setting])
+
+
+def test_part_of_a_dataclass_can_be_set() -> None:
+    trained = PolicyAgent(CHECKPOINT)._policy.config.embodiment
+    told = PolicyAgent(CHECKPOINT, settings=["embodiment.delay_frames=3"])._policy.config.embodiment
+    assert trained.delay_frames == 0
+    assert told == replace(trained, delay_frames=3)
 
 
 def test_diffusion_policy_plans_from_the_noted_frames(tmp_path: Path) -> None:
