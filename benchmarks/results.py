@@ -60,7 +60,8 @@ class Row:
         recipe: of the training, from the root of the repository.
         dataset: name of the dataset it learns from.
         train: options that change the recipe.
-        plays: name of another row, whose policies are evaluated in place of the last three.
+        plays: name of another row, whose policies this one evaluates; it then has no recipe,
+            dataset or training options of its own.
         evaluate: options of the evaluation.
         seeds: training seeds 0, 1, ..., so many.
         against: name of an earlier row, from whose seed 0 the difference in S_loc is told, paired

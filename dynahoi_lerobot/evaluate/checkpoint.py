@@ -102,8 +102,8 @@ def load_policy(
     Args:
         folder: of ``checked_folder``.
         device: torch device, the policy's own if None.
-        settings: overrides of its config, ``KEY=VALUE`` each, or ``KEY.PART=VALUE`` for a part of
-            a dataclass in it.
+        settings: overrides of its config, ``KEY=VALUE`` each, or ``KEY.FIELD=VALUE`` for a field
+            of a dataclass in it.
         trust: let transformers run Python files of the repositories that the config names.
 
     Raises:

@@ -85,8 +85,8 @@ class Options:
     trust: bool = option(False, TRUST)
     set: list[str] = option(
         list,
-        "override a field of the policy's config, such as n_action_steps=2; dictionaries as "
-        "JSON; may be repeated",
+        "override a field of the policy's config, such as n_action_steps=2 or "
+        "embodiment.delay_frames=3; dictionaries as JSON; may be repeated",
         metavar="KEY=VALUE",
     )
     inference: str = option(

@@ -80,9 +80,9 @@ def test_a_row_may_play_the_policies_of_another(
     importlib.import_module("results").main()
     commands = capsys.readouterr().out.splitlines()
     for program in ("dynahoi generate", "dynahoi encode", "lerobot-train"):
-        of_seed_0 = [line for line in commands if line.startswith(program)]
-        assert len(of_seed_0) == 4, "three seeds, and the first one again"
-        assert of_seed_0[0] == of_seed_0[3]
+        matching = [line for line in commands if line.startswith(program)]
+        assert len(matching) == 4, "three seeds, and the first one again"
+        assert matching[0] == matching[3]
     plain, *_, late = [line for line in commands if line.startswith("dynahoi evaluate")]
     assert plain.split(" --split")[0] == late.split(" --split")[0], "the same policy"
     assert plain.split("--out")[1] != late.split("--out")[1]

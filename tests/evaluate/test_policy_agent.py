@@ -107,7 +107,7 @@ def test_what_cannot_be_set_is_named(setting: str) -> None:
         PolicyAgent(CHECKPOINT, settings=[setting])
 
 
-def test_part_of_a_dataclass_can_be_set() -> None:
+def test_a_field_of_a_dataclass_in_the_config_can_be_set() -> None:
     trained = PolicyAgent(CHECKPOINT)._policy.config.embodiment
     told = PolicyAgent(CHECKPOINT, settings=["embodiment.delay_frames=3"])._policy.config.embodiment
     assert trained.delay_frames == 0
