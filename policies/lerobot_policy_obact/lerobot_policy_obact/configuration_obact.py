@@ -62,6 +62,16 @@ class Embodiment:
     capture: str = ""  # the rule of capture; empty where the target's path is not known
     radius_m: float = 0.03  # within which the palm has the target, unless it must be gripped
 
+    def __post_init__(self) -> None:
+        for name, allowed, valid in (
+            ("fps", "above 0", self.fps > 0),
+            ("delay_frames", "0 or more", self.delay_frames >= 0),
+            ("palm_speed_m_s", "0 or more", self.palm_speed_m_s >= 0),
+        ):
+            if not valid:
+                found = getattr(self, name)
+                raise ValueError(f"embodiment.{name} is {found}, but must be {allowed}.")
+
     @property
     def step_m(self) -> float:
         """How far a palm gets in a frame [m]."""
@@ -155,7 +165,8 @@ class ObActConfig(PreTrainedConfig):
         allowed = f"one of {', '.join(ENCODERS)}"
         self._require(not self.encoder or self.encoder in ENCODERS, "encoder", allowed)
         self._require(self.head in HEADS, "head", f"one of {', '.join(HEADS)}")
-        self._require(0 <= self.delayed_share <= 1, "delayed_share", "0 to 1")
+        for name in ("delayed_share", "virtual_share"):
+            self._require(0 <= getattr(self, name) <= 1, name, "0 to 1")
         identity = all(
             mode == NormalizationMode.IDENTITY for mode in self.normalization_mapping.values()
         )

@@ -31,6 +31,10 @@ move together."""
 BETA = 0.5
 """The likelihood is weighted by the scale to this power, or what is easily predicted would count
 for nearly everything (beta-NLL; Seitzer et al., 2022)."""
+NOISE_SEED = 0  # of the noise that chunks start from
+MAX_SAMPLING = 100  # most steps, and most draws: what is repeated for every action
+PHASES = tuple(2.0**i for i in range(-1, 7))
+"""Frequencies in which time enters a denoiser, in half turns: up to 64 within its range."""
 
 
 def frame_noise(frame: int, shape: tuple[int, ...], like: Tensor) -> Tensor:
@@ -41,12 +45,6 @@ def frame_noise(frame: int, shape: tuple[int, ...], like: Tensor) -> Tensor:
     """
     drawn = np.random.default_rng((NOISE_SEED, frame)).standard_normal(shape, dtype=np.float32)
     return torch.from_numpy(drawn).to(like)
-
-
-NOISE_SEED = 0  # of the noise that chunks start from
-MAX_SAMPLING = 100  # most steps, and most draws: what is repeated for every action
-PHASES = tuple(2.0**i for i in range(-1, 7))
-"""Frequencies in which time enters a denoiser, in half turns: up to 64 within its range."""
 
 
 class FlowDenoiser(nn.Module):

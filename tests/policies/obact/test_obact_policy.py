@@ -699,6 +699,8 @@ def test_another_number_of_environments_needs_a_reset():
         ("n_obs_steps", 0, "1 or more"),
         ("relative_dims", 19, "0 to 18"),
         ("n_action_steps", 9, "1 to 4"),
+        ("delayed_share", -0.5, "0 to 1"),
+        ("virtual_share", 1.5, "0 to 1"),
         ("head_options", {"n_draws": 0}, "1 to 100"),
         ("normalization_mapping", {"STATE": NormalizationMode.MEAN_STD}, "IDENTITY"),
         ("use_amp", True, "false"),
@@ -707,6 +709,12 @@ def test_another_number_of_environments_needs_a_reset():
 def test_a_wrong_option_is_named_with_what_is_allowed(name: str, value: object, allowed: str):
     with pytest.raises(ValueError, match=f"{name}.* {allowed}"):
         hand_policy(**{name: value})
+
+
+@pytest.mark.parametrize(("name", "value"), [("fps", 0.0), ("delay_frames", -3)])
+def test_an_impossible_robot_is_refused(name: str, value: float):
+    with pytest.raises(ValueError, match=f"embodiment.{name} is {value}, but must be"):
+        Embodiment(**{name: value})
 
 
 ALONE = """if True:
