@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import torch
+from draccus.utils import ParsingError
 from lerobot.configs import NormalizationMode, PreTrainedConfig
 from lerobot.optim import AdamWConfig
 from lerobot.policies.pretrained import PreTrainedPolicy
@@ -41,17 +42,18 @@ class ChunkConfig(PreTrainedConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        # LeRobot's command line shows what this error says, and hides what a ValueError says
         if not 1 <= self.n_action_steps <= self.chunk_size:
-            raise ValueError(
+            raise ParsingError(
                 f"n_action_steps is {self.n_action_steps}, but must be 1 to {self.chunk_size} "
                 f"(chunk_size)."
             )
         if self.n_obs_steps != 1:
-            raise ValueError(
+            raise ParsingError(
                 f"n_obs_steps is {self.n_obs_steps}, but must be 1: this policy sees one frame."
             )
         if self.dtype not in ("float32", "bfloat16"):
-            raise ValueError(f"dtype is {self.dtype!r}, but must be float32 or bfloat16.")
+            raise ParsingError(f"dtype is {self.dtype!r}, but must be float32 or bfloat16.")
 
     @property
     def action_delta_indices(self) -> list[int]:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
+from draccus.utils import ParsingError
 from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature, PreTrainedConfig
 from lerobot.optim import AdamWConfig, CosineDecayWithWarmupSchedulerConfig
 from lerobot.policies.rtc import RTCConfig
@@ -63,14 +64,10 @@ class Embodiment:
     radius_m: float = 0.03  # within which the palm has the target, unless it must be gripped
 
     def __post_init__(self) -> None:
-        for name, allowed, valid in (
-            ("fps", "above 0", self.fps > 0),
-            ("delay_frames", "0 or more", self.delay_frames >= 0),
-            ("palm_speed_m_s", "0 or more", self.palm_speed_m_s >= 0),
-        ):
-            if not valid:
-                found = getattr(self, name)
-                raise ValueError(f"embodiment.{name} is {found}, but must be {allowed}.")
+        _require(self.fps > 0, "embodiment.fps", self.fps, "above 0")
+        for name in ("delay_frames", "palm_speed_m_s"):
+            value = getattr(self, name)
+            _require(value >= 0, f"embodiment.{name}", value, "0 or more")
 
     @property
     def step_m(self) -> float:
@@ -176,8 +173,7 @@ class ObActConfig(PreTrainedConfig):
         self._require(not (self.use_amp and self.exact), "use_amp", exact)
 
     def _require(self, valid: bool, name: str, allowed: str) -> None:
-        if not valid:
-            raise ValueError(f"{name} is {getattr(self, name)!r}, but must be {allowed}.")
+        _require(valid, name, getattr(self, name), allowed)
 
     @property
     def forecasts(self) -> bool:
@@ -255,8 +251,8 @@ class ObActConfig(PreTrainedConfig):
         """Check that the dataset has what the policy needs, and decide what its features decide.
 
         Raises:
-            ValueError: if there is no RGB image or no flat action, or no state that actions could
-                be relative to.
+            ValueError: if there is no RGB image or no flat action.
+            ParsingError: if there is no state that actions could be relative to.
         """
         self.input_features = dict(map(_as_image, (self.input_features or {}).items()))
         if not self.image_features:
@@ -304,6 +300,14 @@ class ObActConfig(PreTrainedConfig):
             peak_lr=self.optimizer_lr,
             decay_lr=FINAL_LR_SHARE * self.optimizer_lr,
         )
+
+
+def _require(valid: bool, name: str, value: Any, allowed: str) -> None:
+    """Refuse the value of an option, by draccus's own error: LeRobot's command line shows what that
+    says, and hides what a ValueError in a config says.
+    """
+    if not valid:
+        raise ParsingError(f"{name} is {value!r}, but must be {allowed}.")
 
 
 def view_of(key: str) -> str:

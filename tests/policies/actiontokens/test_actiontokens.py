@@ -6,11 +6,13 @@ import shutil
 from functools import partial
 from pathlib import Path
 
+import draccus
 import numpy as np
 import pytest
 import torch
+from draccus.utils import ParsingError
 from lerobot.configs import FeatureType, PolicyFeature
-from lerobot_policy_actiontokens import ActionTokensPolicy, UPVLAPolicy
+from lerobot_policy_actiontokens import ActionTokensConfig, ActionTokensPolicy, UPVLAPolicy
 from lerobot_policy_actiontokens.modeling_actiontokens import decode, encode
 from lerobot_policy_actiontokens.modeling_upvla import lay_out
 from torch import Tensor
@@ -224,6 +226,11 @@ def test_codes_come_back_row_by_row(models: Path) -> None:
     )
 
 
+def test_the_command_line_of_lerobot_says_what_is_wrong_with_an_option() -> None:
+    with pytest.raises(ParsingError, match="dtype is 'int8', but must be float32 or bfloat16"):
+        draccus.parse(ActionTokensConfig, args=["--dtype=int8"])
+
+
 TWO_CAMERAS = dict.fromkeys(
     (CAMERA, "observation.images.side"), PolicyFeature(FeatureType.VISUAL, (3, 32, 32))
 )
@@ -239,5 +246,5 @@ TWO_CAMERAS = dict.fromkeys(
     ],
 )
 def test_bad_values_are_named(models: Path, changes: dict, words: str) -> None:
-    with pytest.raises(ValueError, match=words):
+    with pytest.raises((ValueError, ParsingError), match=words):
         make_policy(ActionTokensPolicy, models, **changes)

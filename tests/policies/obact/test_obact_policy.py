@@ -9,9 +9,11 @@ from dataclasses import replace
 from itertools import chain, count, pairwise, repeat
 from pathlib import Path
 
+import draccus
 import numpy as np
 import pytest
 import torch
+from draccus.utils import ParsingError
 from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.datasets.dataset_tools import merge_datasets, modify_features
@@ -707,14 +709,15 @@ def test_another_number_of_environments_needs_a_reset():
     ],
 )
 def test_a_wrong_option_is_named_with_what_is_allowed(name: str, value: object, allowed: str):
-    with pytest.raises(ValueError, match=f"{name}.* {allowed}"):
+    with pytest.raises((ValueError, ParsingError), match=f"{name}.* {allowed}"):
         hand_policy(**{name: value})
 
 
-@pytest.mark.parametrize(("name", "value"), [("fps", 0.0), ("delay_frames", -3)])
-def test_an_impossible_robot_is_refused(name: str, value: float):
-    with pytest.raises(ValueError, match=f"embodiment.{name} is {value}, but must be"):
-        Embodiment(**{name: value})
+@pytest.mark.parametrize("option", ["n_hands=0", "embodiment.delay_frames=-3", "embodiment.fps=0"])
+def test_the_command_line_of_lerobot_says_what_is_wrong_with_an_option(option: str):
+    name, value = option.split("=")
+    with pytest.raises(ParsingError, match=f"{name} is {value}.*, but must be"):
+        draccus.parse(ObActConfig, args=[f"--{option}"])
 
 
 ALONE = """if True:
