@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
+from operator import attrgetter
 from typing import Any
 
 from draccus.utils import ParsingError
@@ -29,6 +30,8 @@ AT_LEAST = {
     "n_decisions": 1,
     "forecast_weight": 0,
     "closed_loop_weight": 0,
+    "embodiment.delay_frames": 0,
+    "embodiment.palm_speed_m_s": 0,
 }
 """Options by the least that they may be."""
 HEADS: dict[str, Callable[..., Any]] = {
@@ -62,12 +65,6 @@ class Embodiment:
     palm_speed_m_s: float = 0.0  # the palm's speed limit
     capture: str = ""  # the rule of capture; empty where the target's path is not known
     radius_m: float = 0.03  # within which the palm has the target, unless it must be gripped
-
-    def __post_init__(self) -> None:
-        _require(self.fps > 0, "embodiment.fps", self.fps, "above 0")
-        for name in ("delay_frames", "palm_speed_m_s"):
-            value = getattr(self, name)
-            _require(value >= 0, f"embodiment.{name}", value, "0 or more")
 
     @property
     def step_m(self) -> float:
@@ -152,7 +149,8 @@ class ObActConfig(PreTrainedConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         for name, least in AT_LEAST.items():
-            self._require(getattr(self, name) >= least, name, f"{least} or more")
+            self._require(attrgetter(name)(self) >= least, name, f"{least} or more")
+        self._require(self.embodiment.fps > 0, "embodiment.fps", "above 0")
         self._require(
             1 <= self.n_action_steps <= self.horizon,
             "n_action_steps",
@@ -173,7 +171,12 @@ class ObActConfig(PreTrainedConfig):
         self._require(not (self.use_amp and self.exact), "use_amp", exact)
 
     def _require(self, valid: bool, name: str, allowed: str) -> None:
-        _require(valid, name, getattr(self, name), allowed)
+        """Refuse the value of an option, by draccus's own error: LeRobot's command line shows what
+        that says, and hides what a ValueError in a config says.
+        """
+        if not valid:
+            value = attrgetter(name)(self)
+            raise ParsingError(f"{name} is {value!r}, but must be {allowed}.")
 
     @property
     def forecasts(self) -> bool:
@@ -300,14 +303,6 @@ class ObActConfig(PreTrainedConfig):
             peak_lr=self.optimizer_lr,
             decay_lr=FINAL_LR_SHARE * self.optimizer_lr,
         )
-
-
-def _require(valid: bool, name: str, value: Any, allowed: str) -> None:
-    """Refuse the value of an option, by draccus's own error: LeRobot's command line shows what that
-    says, and hides what a ValueError in a config says.
-    """
-    if not valid:
-        raise ParsingError(f"{name} is {value!r}, but must be {allowed}.")
 
 
 def view_of(key: str) -> str:

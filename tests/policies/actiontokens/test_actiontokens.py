@@ -226,9 +226,19 @@ def test_codes_come_back_row_by_row(models: Path) -> None:
     )
 
 
-def test_the_command_line_of_lerobot_says_what_is_wrong_with_an_option() -> None:
-    with pytest.raises(ParsingError, match="dtype is 'int8', but must be float32 or bfloat16"):
-        draccus.parse(ActionTokensConfig, args=["--dtype=int8"])
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [
+        ("n_action_steps=2", "n_action_steps is 2, but must be 1 to 1"),
+        ("dtype=int8", "dtype is 'int8', but must be float32 or bfloat16"),
+        ("n_obs_steps=2", "n_obs_steps is 2, but must be 1"),
+    ],
+)
+def test_the_command_line_of_lerobot_says_what_is_wrong_with_an_option(
+    option: str, words: str
+) -> None:
+    with pytest.raises(ParsingError, match=words):
+        draccus.parse(ActionTokensConfig, args=[f"--{option}"])
 
 
 TWO_CAMERAS = dict.fromkeys(
@@ -236,15 +246,6 @@ TWO_CAMERAS = dict.fromkeys(
 )
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"n_action_steps": 2}, "n_action_steps is 2, but must be 1 to 1"),
-        ({"dtype": "int8"}, "int8"),
-        ({"n_obs_steps": 2}, "n_obs_steps is 2, but must be 1"),
-        ({"input_features": TWO_CAMERAS}, "sees one image, but the inputs have .*ego, .*side"),
-    ],
-)
-def test_bad_values_are_named(models: Path, changes: dict, words: str) -> None:
-    with pytest.raises((ValueError, ParsingError), match=words):
-        make_policy(ActionTokensPolicy, models, **changes)
+def test_a_second_camera_is_refused(models: Path) -> None:
+    with pytest.raises(ValueError, match=r"sees one image, but the inputs have .*ego, .*side"):
+        make_policy(ActionTokensPolicy, models, input_features=TWO_CAMERAS)

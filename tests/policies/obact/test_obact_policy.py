@@ -703,14 +703,18 @@ def test_another_number_of_environments_needs_a_reset():
         ("n_action_steps", 9, "1 to 4"),
         ("delayed_share", -0.5, "0 to 1"),
         ("virtual_share", 1.5, "0 to 1"),
-        ("head_options", {"n_draws": 0}, "1 to 100"),
         ("normalization_mapping", {"STATE": NormalizationMode.MEAN_STD}, "IDENTITY"),
         ("use_amp", True, "false"),
     ],
 )
 def test_a_wrong_option_is_named_with_what_is_allowed(name: str, value: object, allowed: str):
-    with pytest.raises((ValueError, ParsingError), match=f"{name}.* {allowed}"):
+    with pytest.raises(ParsingError, match=f"{name}.* {allowed}"):
         hand_policy(**{name: value})
+
+
+def test_a_wrong_option_of_the_head_is_named_with_what_is_allowed():
+    with pytest.raises(ValueError, match=r"head_options.n_draws is 0, but must be 1 to 100"):
+        hand_policy(head_options={"n_draws": 0})
 
 
 @pytest.mark.parametrize("option", ["n_hands=0", "embodiment.delay_frames=-3", "embodiment.fps=0"])
