@@ -91,8 +91,6 @@ def _draw_places(page: np.ndarray, thought: Any, pixel: Pixel) -> None:
 def _strip(thought: Any, n_frames: int) -> np.ndarray:
     """Return a bar for every frame observed so far, as wide as its share of the episode."""
     strip = np.full((STRIP_PX, WIDTH_PX, 3), BACK, np.uint8)
-    if thought.attention is None:
-        return strip
     weights = thought.attention[0].mean(0).numpy()
     edges = np.linspace(0, WIDTH_PX, max(n_frames, len(weights)) + 1).astype(int)
     for weight, left, right in zip(weights, edges, edges[1:], strict=False):

@@ -34,7 +34,8 @@ def test_a_sighting_is_drawn_where_the_camera_shows_the_target(camera: str):
     batch = WorldBatch(recipe.rules, 1)
     episode = next(evaluate(batch, EXPERTS["intercept"](), sample_specs(recipe, [0]), images=True))
     far = torch.full((1, 1, 3), -9.0)  # behind both cameras
-    rest = {"forecast": far, "ahead_s": torch.zeros(1), "intercept": far[0], "attention": None}
+    rest = {"forecast": far, "ahead_s": torch.zeros(1), "intercept": far[0]}
+    rest["attention"] = torch.ones(1, 1, 1)
     thoughts = [
         SimpleNamespace(sighted=torch.tensor(pose[None, None, :3]), **rest)
         for pose in episode.target_pose_h

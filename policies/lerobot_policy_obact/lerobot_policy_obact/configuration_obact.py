@@ -1,8 +1,6 @@
 """Configuration of ObAct, ``--policy.type=obact``."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
 from operator import attrgetter
 from typing import Any
 
@@ -13,7 +11,7 @@ from lerobot.policies.rtc import RTCConfig
 
 from .encoders import ENCODERS, SHIPPED
 from .gr00t_head import Gr00tHead
-from .heads import ActionHead, DiffusionDenoiser, FlowDenoiser
+from .heads import ActionHead
 
 AT_LEAST = {
     "n_obs_steps": 1,
@@ -24,7 +22,7 @@ AT_LEAST = {
     "dim": 1,
     "n_layers": 0,
     "n_heads": 1,
-    "n_points": 0,
+    "n_points": 1,
     "width": 1,
     "n_hands": 1,
     "n_decisions": 1,
@@ -34,12 +32,7 @@ AT_LEAST = {
     "embodiment.palm_speed_m_s": 0,
 }
 """Options by the least that they may be."""
-HEADS: dict[str, Callable[..., Any]] = {
-    "diffusion": partial(ActionHead, DiffusionDenoiser),
-    "flow": partial(ActionHead, FlowDenoiser),
-    "regression": partial(ActionHead, None),
-    "gr00t": Gr00tHead,
-}
+HEADS: dict[str, type[ActionHead] | type[Gr00tHead]] = {"diffusion": ActionHead, "gr00t": Gr00tHead}
 CONTACT = "contact"
 """The rule of capture under which targets must be gripped; under all others the palm has to come
 near enough."""
@@ -112,7 +105,7 @@ class ObActConfig(PreTrainedConfig):
     dim: int = 128  # size of a frame's token, ``D``
     n_layers: int = 2  # temporal attention blocks
     n_heads: int = 4  # heads of each
-    n_points: int = 12  # readouts whose values are the positions sighted, ``J``; 0 for none
+    n_points: int = 12  # readouts whose values are the positions sighted, ``J``
     width: int = 256  # size of the context that the head reads, ``C``
 
     n_hands: int = 2  # hands that are drawn for each window, see `windows`

@@ -72,8 +72,7 @@ class Forecast(Record):
 
     features: Tensor  # (B, Q, D)
     places: Tensor  # of the target [m], (B, Q, K, 3), see `FORECAST_FRAMES`
-    # weights of the T frames of the history in the J positions read out, (B, Q, J, T)
-    attention: Tensor | None = None
+    attention: Tensor  # weights of the T frames of the history in J readouts, (B, Q, J, T)
 
     def later(self, frames: int | Tensor) -> Forecast:
         """Return the same forecast for times that count from so many ``frames``, one number or
@@ -98,7 +97,6 @@ class Forecaster(nn.Module):
         super().__init__()
         dim = config.dim
         n_ahead = len(FORECAST_FRAMES)
-        self.n_points = config.n_points
         cameras = nn.ModuleList(
             Pinhole.calibrated(config.embodiment.calibration.get(key, UNCALIBRATED))
             for key in config.cameras
@@ -111,15 +109,12 @@ class Forecaster(nn.Module):
             TemporalBlock(dim, config.n_heads) for _ in range(config.n_layers)
         )
         self.norm = nn.LayerNorm(dim)
-        if self.n_points:
-            self.readout = PositionReadout(dim, self.n_points)
-            self.linear = nn.Linear(3 * self.n_points, 3 * n_ahead, bias=False)
-            nn.init.zeros_(self.linear.weight)
-        else:
-            self.now = nn.Linear(dim, 3)
+        self.readout = PositionReadout(dim, config.n_points)
+        self.linear = nn.Linear(3 * config.n_points, 3 * n_ahead, bias=False)
+        nn.init.zeros_(self.linear.weight)
         bend = nn.Linear(BEND_WIDTH, 3 * n_ahead)
         nn.init.zeros_(bend.weight)
-        read = perceptron(dim + 3 * self.n_points, BEND_WIDTH, BEND_WIDTH)
+        read = perceptron(dim + 3 * config.n_points, BEND_WIDTH, BEND_WIDTH)
         self.bend = nn.Sequential(read, nn.SiLU(), bend)
 
     def forward(self, frames: Frames, rows: Tensor) -> Forecast:
@@ -137,9 +132,7 @@ class Forecaster(nn.Module):
             tokens = block(tokens, age_s, unseen)
         tokens = self.norm(tokens)
         features = gather_frames(tokens, rows)
-        points = attention = None
-        if self.n_points:
-            points, attention = self.readout(tokens, position - first, age_s, unseen, rows)
+        points, attention = self.readout(tokens, position - first, age_s, unseen, rows)
         places = self._places(features, points) + first[:, :, None]
         return Forecast(features, places, attention)
 
@@ -153,21 +146,16 @@ class Forecaster(nn.Module):
         ]
         return torch.stack(centers, dim=2), torch.stack(rays, dim=2)
 
-    def _places(self, decisions: Tensor, points: Tensor | None) -> Tensor:
+    def _places(self, decisions: Tensor, points: Tensor) -> Tensor:
         """Combine the positions read out, ``(B, Q, J, 3)``, linearly, and bend the result by what
         the tokens say.
         """
-        if points is None:
-            base = PLACE_M * self.now(decisions)[:, :, None]
-            features = decisions
-        else:
-            anchor = points[:, :, :1]
-            differences = rearrange((points - anchor) / POINT_M, "b q j i -> b q (j i)")
-            combined = rearrange(self.linear(differences), "b q (k i) -> b q k i", i=3)
-            base = anchor + POINT_M * combined
-            features = torch.cat([decisions, differences.clamp(-MOST_UNITS, MOST_UNITS)], dim=-1)
+        anchor = points[:, :, :1]
+        differences = rearrange((points - anchor) / POINT_M, "b q j i -> b q (j i)")
+        combined = rearrange(self.linear(differences), "b q (k i) -> b q k i", i=3)
+        features = torch.cat([decisions, differences.clamp(-MOST_UNITS, MOST_UNITS)], dim=-1)
         bend = rearrange(self.bend(features), "b q (k i) -> b q k i", i=3)
-        return base + bend * BEND.at(self.ahead_s)[:, None]
+        return anchor + POINT_M * combined + bend * BEND.at(self.ahead_s)[:, None]
 
 
 def _inputs(sightings: Tensor, rays: Tensor, place: Tensor) -> Tensor:

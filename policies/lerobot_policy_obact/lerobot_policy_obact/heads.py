@@ -1,15 +1,11 @@
-"""Action heads: what a context says about the next actions.
+"""The action head: what a context says about the next actions.
 
-    base        mean of the chunk and the scale of its error, by regression (Laplace likelihood)
-    diffusion   the default: the chunk's deviation from that mean, in units of that scale, denoised
-                from normal noise
-    flow        the same deviation, by flow matching
-    regression  the mean itself, without noise
+    base      mean of the chunk and the scale of its error, by regression (Laplace likelihood)
+    denoiser  the chunk's deviation from that mean, in units of that scale, by diffusion
 
-Time runs from t = 0, noise, to t = 1, data. Diffusion mixes signal and noise as sin and cos of t pi
-/ 2 (variance preserving) and predicts the signal; flow mixes them linearly and predicts the
-velocity. Dividing the former by the sum of its two coefficients gives the latter's path, so one
-Euler loop samples both (DDIM is exact there).
+Time runs from t = 0, noise, to t = 1, data. The denoiser learns from signal and noise mixed as sin
+and cos of t pi / 2 (variance preserving), and predicts the signal. Divided by the sum of the two,
+the mixture is on the straight path of flow matching, on which Euler steps are those of DDIM.
 """
 
 import numpy as np
@@ -47,9 +43,9 @@ def frame_noise(frame: int, shape: tuple[int, ...], like: Tensor) -> Tensor:
     return torch.from_numpy(drawn).to(like)
 
 
-class FlowDenoiser(nn.Module):
-    """Flow matching along straight paths; a residual perceptron over the ``size`` numbers of a
-    chunk, in a context of ``context`` numbers.
+class Denoiser(nn.Module):
+    """Variance-preserving diffusion that predicts the signal: a residual perceptron over the
+    ``size`` numbers of a chunk, in a context of ``context`` numbers.
     """
 
     def __init__(self, size: int, context: int, width: int = 128, n_blocks: int = 2) -> None:
@@ -72,7 +68,7 @@ class FlowDenoiser(nn.Module):
         return self.context(context)
 
     def forward(self, chunk: Tensor, t: Tensor, read: Tensor) -> Tensor:
-        """Map noisy chunks ``(R, H, A)`` at times ``(R,)`` to predictions of that shape; ``read``
+        """Predict chunks ``(R, H, A)`` from their mixtures with noise at times ``(R,)``; ``read``
         ``(R, W)`` is of their contexts.
         """
         phase = t[:, None] * torch.pi * torch.tensor(PHASES, device=t.device)
@@ -86,29 +82,16 @@ class FlowDenoiser(nn.Module):
         """Return by how much the prediction for a mixture of target and noise is off, ``(R, H,
         A)``.
         """
-        return self(torch.lerp(noise, target, t[:, None, None]), t, read) - (target - noise)
-
-    def velocity(self, x: Tensor, t: Tensor, read: Tensor) -> Tensor:
-        """Return the velocity of the linear path at ``x`` ``(R, H, A)`` and ``t`` ``(R,)``, towards
-        the data.
-        """
-        return self(x, t, read)
-
-
-class DiffusionDenoiser(FlowDenoiser):
-    """Variance-preserving diffusion that predicts the signal, sampled by DDIM."""
-
-    def error(self, target: Tensor, noise: Tensor, t: Tensor, read: Tensor) -> Tensor:
-        """See `FlowDenoiser.error`."""
         signal, spread = _mixing(t)
         return self(signal * target + spread * noise, t, read) - target
 
     def velocity(self, x: Tensor, t: Tensor, read: Tensor) -> Tensor:
-        """See `FlowDenoiser.velocity`.
+        """Return the velocity of the straight path at ``x`` ``(R, H, A)`` and ``t`` ``(R,)``,
+        towards the data.
 
-        On the linear path ``x = t target + (1 - t) noise`` the velocity ``target - noise`` is
-        ``(target - x) / (1 - t)``, and the network says what the target is. It expects ``sin(a)
-        target + cos(a) noise``, which is ``x (sin(a) + cos(a))`` where ``tan(a) = t / (1 - t)``.
+        On the path ``x = t target + (1 - t) noise`` the velocity ``target - noise`` is ``(target -
+        x) / (1 - t)``, and the network says what the target is. It expects ``sin(a) target + cos(a)
+        noise``, which is ``x (sin(a) + cos(a))`` where ``tan(a) = t / (1 - t)``.
         """
         own = 2 / torch.pi * torch.atan2(t, 1 - t)  # its own time, a in units of pi / 2
         signal, spread = _mixing(own)
@@ -125,7 +108,6 @@ class ActionHead(nn.Module):
     """Regression of a chunk with the scale of its error; what that leaves is denoised.
 
     Args:
-        denoiser: how; None for regression alone.
         context: numbers of a context.
         horizon: actions of a chunk, H.
         groups: sizes of the groups of an action's entries that are scaled together, of sum A: the
@@ -139,7 +121,6 @@ class ActionHead(nn.Module):
 
     def __init__(
         self,
-        denoiser: type[FlowDenoiser] | None,
         context: int,
         horizon: int,
         groups: list[int],
@@ -168,7 +149,7 @@ class ActionHead(nn.Module):
         self.closing_quantile = closing_quantile
         self.noise_shape = (horizon, self.action_dim)  # of the noise that a chunk starts from
         self.base = nn.Linear(context, horizon * (self.action_dim + len(groups)))
-        self.denoiser = denoiser(horizon * self.action_dim, context, width) if denoiser else None
+        self.denoiser = Denoiser(horizon * self.action_dim, context, width)
 
     def load_pretrained(self) -> None:
         """Load published weights: here there are none."""
@@ -189,9 +170,6 @@ class ActionHead(nn.Module):
         sizes = errors.new_tensor(self.groups).clamp_max(SCALE_SIZE)
         likelihood = errors * (-log_scale).exp() + sizes * log_scale
         likelihood = (likelihood * (BETA * log_scale).exp().detach()).mean(-1)  # (R, H)
-        loss = (likelihood * weight).mean(-1)
-        if self.denoiser is None:
-            return loss
         deviation = (actions - mean.detach()) / self._unit(log_scale).detach()
         deviation = deviation.clamp(-LARGEST_DEVIATION, LARGEST_DEVIATION)
         target = repeat(deviation, "r h a -> (r n) h a", n=NOISE_LEVELS)
@@ -200,7 +178,7 @@ class ActionHead(nn.Module):
         read = repeat(self.denoiser.read(context), "r w -> (r n) w", n=NOISE_LEVELS)
         error = self.denoiser.error(target, torch.randn_like(target), t, read)
         error = rearrange(error.square().mean(-1), "(r n) h -> r n h", n=NOISE_LEVELS)
-        return loss + (error * weight[:, None]).mean((1, 2))
+        return (likelihood * weight).mean(-1) + (error * weight[:, None]).mean((1, 2))
 
     def _unit(self, log_scale: Tensor) -> Tensor:
         """Return the scale of every entry, ``(R, H, G) -> (R, H, A)``."""
@@ -213,8 +191,6 @@ class ActionHead(nn.Module):
         ``n_draws`` chunks start from the noise of the frame, counted from the start of the episode,
         and a quantile of every entry makes one of them.
         """
-        if self.denoiser is None:
-            return self.regress(context)[0]
         n = self.n_draws
         noise = frame_noise(frame, (n, *self.noise_shape), context)
         start = repeat(noise, "n h a -> (r n) h a", r=len(context))
@@ -227,18 +203,15 @@ class ActionHead(nn.Module):
         """Return the chunks ``(R * N, H, A)`` that noise ``start`` ``(R * N, H, A)`` becomes in
         contexts ``(R, C)``, N in each.
         """
-        denoiser = self.denoiser
         mean, log_scale = self.regress(context)
-        if denoiser is None:
-            return mean
         n = len(start) // max(1, len(context))
         read, mean, unit = (
             x.repeat_interleave(n, dim=0)
-            for x in (denoiser.read(context), mean, self._unit(log_scale))
+            for x in (self.denoiser.read(context), mean, self._unit(log_scale))
         )
 
         # LeRobot's loop runs from time 1, noise, to 0, data
         def towards_noise(x: Tensor, time: Tensor) -> Tensor:
-            return -denoiser.velocity(x, (1 - time).to(x), read)
+            return -self.denoiser.velocity(x, (1 - time).to(x), read)
 
         return mean + unit * euler_integrate(towards_noise, start, n_steps)

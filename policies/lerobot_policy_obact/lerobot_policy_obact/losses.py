@@ -10,8 +10,6 @@ another hand, and do not change with where the palm gets to. Training only.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import torch
 from einops import rearrange, repeat
 from torch import Tensor
@@ -120,9 +118,7 @@ def decision_losses(
     losses = {"forecast": forecast_loss(model, forecast.places, targets, rows, near)}
 
     n_windows, _, n_hands = hands.shape[:3]
-    repeated = replace(forecast.later(delay), attention=None).map(
-        lambda x: repeat(x, "b q ... -> (b q m) ...", m=n_hands)
-    )
+    repeated = forecast.later(delay).map(lambda x: repeat(x, "b q ... -> (b q m) ...", m=n_hands))
     states = hands.flatten(0, 2)
     context, origin = model.condition(repeated, palm_of(states), states)
     actions = torch.cat([answers.goal, teacher.joints(answers.closing)], dim=-1)

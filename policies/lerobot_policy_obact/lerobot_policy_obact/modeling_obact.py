@@ -42,7 +42,7 @@ class Decision(NamedTuple):
     ahead_s: Tensor  # when it is expected there, from now [s], (K,)
     intercept: Tensor  # where the palm is to meet it [m], (B, 3)
     # weights of the T frames of the history, oldest first, in J readouts, (B, J, T)
-    attention: Tensor | None
+    attention: Tensor
 
 
 class ObActPolicy(PreTrainedPolicy):

@@ -560,7 +560,7 @@ def test_a_chunk_that_is_late_follows_from_the_palm_as_it_will_be(monkeypatch):
     """A hand that goes where it was told, and a chunk that is there two frames later, after which
     the next inference begins. Each further action follows from the palm as it will be by then, too.
     """
-    policy = forecasting(horizon=6, head="regression", head_options={})
+    policy = forecasting(horizon=6)
     step_m = policy.config.embodiment.step_m
     batch = step(policy)
     asked = []
@@ -697,7 +697,7 @@ def test_another_number_of_environments_needs_a_reset():
     ("name", "value", "allowed"),
     [
         ("encoder", "camera", "eye, conv"),
-        ("head", "arm", "diffusion, flow, regression, gr00t"),
+        ("head", "arm", "diffusion, gr00t"),
         ("n_obs_steps", 0, "1 or more"),
         ("relative_dims", 19, "0 to 18"),
         ("n_action_steps", 9, "1 to 4"),

@@ -289,7 +289,8 @@ def one_meter_a_frame(frames: Frames, rows: torch.Tensor) -> Forecast:
     """Forecasts of targets that are one meter farther in every frame."""
     places = rows[..., None] + torch.tensor(FORECAST_FRAMES)
     places = places[..., None].expand(-1, -1, -1, 3).float()
-    return Forecast(places.new_zeros(*rows.shape, TINY_OBACT["dim"]), places)
+    features = places.new_zeros(*rows.shape, TINY_OBACT["dim"])
+    return Forecast(features, places, places.new_ones(*rows.shape, 1, 1))
 
 
 # -- losses ----------------------------------------------------------------------------------------
@@ -303,7 +304,7 @@ def rolled_out(window: Window, head, first: int, late: int = 0) -> torch.Tensor:
     b = len(window.begin)
     rows = torch.arange(first, first + FUTURE - late)
     places = torch.zeros(b, len(rows), len(FORECAST_FRAMES), 3)
-    forecast = Forecast(torch.zeros(b, len(rows), 1), places)
+    forecast = Forecast(torch.zeros(b, len(rows), 1), places, torch.ones(b, len(rows), 1, 1))
     return closed_loop_loss(model, forecast, window, rows.expand(b, -1), teacher()).sum()
 
 
