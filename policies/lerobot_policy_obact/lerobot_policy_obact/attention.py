@@ -67,16 +67,12 @@ def cell_rays(height: int, width: int, device: torch.device) -> Tensor:
     return rearrange(torch.stack(torch.meshgrid(u, v, indexing="xy"), dim=-1), "h w i -> (h w) i")
 
 
-def out_of_sight(age_s: Tensor, hidden: Tensor | None) -> Tensor:
-    """Return whether frame q must not attend to frame k, ``(B, T, T)``, or ``(1, T, T)`` if none
-    are hidden: those that lie ahead, whose ``age_s`` ``(T, T)`` [s] is negative, and those that are
-    ``hidden``, ``(B, T)``. Each attends to itself.
+def out_of_sight(age_s: Tensor, hidden: Tensor) -> Tensor:
+    """Return whether frame q must not attend to frame k, ``(B, T, T)``: to those that lie ahead,
+    whose ``age_s`` ``(T, T)`` [s] is negative, and to others that are ``hidden``, ``(B, T)``.
     """
-    ahead = (age_s < -SAME_TIME_S)[None]
-    if hidden is None:
-        return ahead
     others = ~torch.eye(len(age_s), dtype=torch.bool, device=hidden.device)
-    return ahead | (hidden[:, None] & others)
+    return (age_s < -SAME_TIME_S) | (hidden[:, None] & others)
 
 
 class AgeBias(nn.Module):
@@ -159,7 +155,7 @@ class PositionReadout(nn.Module):
         queries = self.query(gather_frames(tokens, rows))
         queries = rearrange(queries, "b q (j d) -> b q j d", j=self.n_points)
         bias = rearrange(self.bias(age_s), "j t s -> t j s")[rows]  # (B, Q, J, T)
-        unseen = gather_frames(unseen.expand(len(rows), -1, -1), rows)
+        unseen = gather_frames(unseen, rows)
         bias = bias.masked_fill(unseen[:, :, None], float("-inf"))
         logits = einsum(queries, self.key(tokens), "b q j d, b s d -> b q j s") / KEY_DIM**0.5
         weights = (logits + bias).softmax(-1)

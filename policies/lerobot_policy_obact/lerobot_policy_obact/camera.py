@@ -61,11 +61,6 @@ class Pinhole(nn.Module):
         forward = [-2 * (x * z + w * y), -2 * (y * z - w * x), -(1 - 2 * (x * x + y * y))]
         return cls(list(pose[:3]), [right, up, forward], half_view, carried=carried)
 
-    @classmethod
-    def calibrated(cls, calibration: list[float]) -> Self:
-        """Return the camera of a calibration, see `Embodiment`."""
-        return cls.from_pose(calibration[:7], calibration[7], carried=bool(calibration[8]))
-
     def origin(self, palm: Tensor) -> Tensor:
         """Return what positions count from when the palm is at ``(..., 3)`` [m], in the frame of
         the state.

@@ -9,9 +9,9 @@ from torch import Tensor
 from .configuration_obact import Embodiment
 from .frames import palm_of, stepped
 
-HELD_SHARE = 0.5
-"""A palm that covered at most this share of its commanded way is held: one that obeys covers all of
-it, one that is held none."""
+STUCK_SHARE = 0.5
+"""A palm that covered at most this share of its commanded way is stuck: one that obeys covers all
+of it, one that is stuck none."""
 LEAST_TOLD_M = 1e-3
 """A shorter commanded way decides nothing: a palm that hovers at its goal stands still, too."""
 
@@ -27,7 +27,7 @@ class CommandBuffer:
         """Return where palms will be when the next command takes effect [m], ``(B, 3)``.
 
         Until then a palm goes where the commands send it that were given, but have no effect yet,
-        in each tick as far as its speed allows. A palm that is held, as in an observation window,
+        in each tick as far as its speed allows. A palm that is stuck, as in an observation window,
         stays: it did not go where the commands sent it that took effect since the frame before.
 
         Args:
@@ -46,8 +46,8 @@ class CommandBuffer:
         due = self._followed(palm, range(ticks[-1] - delay, ticks[-1] + inference_delay))
         told_m = (self._followed(before, executed) - before).norm(dim=-1)
         moved_m = (palm - before).norm(dim=-1)
-        held = (told_m > LEAST_TOLD_M) & (moved_m <= HELD_SHARE * told_m)
-        return torch.where(held[:, None], palm, due)
+        stuck = (told_m > LEAST_TOLD_M) & (moved_m <= STUCK_SHARE * told_m)
+        return torch.where(stuck[:, None], palm, due)
 
     def _followed(self, palm: Tensor, ticks: Iterable[int]) -> Tensor:
         """Return where palms ``(B, 3)`` get [m] that follow the commands for some ticks."""
@@ -61,8 +61,8 @@ class CommandBuffer:
     def give(self, chunk: Tensor, tick: int, inference_delay: int) -> Tensor:
         """Note the actions of a chunk, and return what is executed from ``tick`` on, ``(B, H, A)``.
 
-        Until the chunk is ready, the last one goes on, and after its end, where that led. Where
-        there is none, nobody can execute anything, and the chunk stays as it is.
+        Until the chunk is ready, the last one goes on, and after its end, where that led. The first
+        chunk has none before it, and is returned as it is.
 
         Args:
             chunk: actions for ``tick`` and the next ones, ``(B, H, A)``.

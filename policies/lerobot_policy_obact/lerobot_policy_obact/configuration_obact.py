@@ -2,14 +2,15 @@
 
 from dataclasses import dataclass, field
 from operator import attrgetter
-from typing import Any
+from typing import Any, ClassVar
 
 from draccus.utils import ParsingError
 from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature, PreTrainedConfig
 from lerobot.optim import AdamWConfig, CosineDecayWithWarmupSchedulerConfig
 from lerobot.policies.rtc import RTCConfig
+from lerobot.utils.constants import OBS_IMAGES, OBS_STATE
 
-from .encoders import ENCODERS, SHIPPED
+from .encoders import ENCODERS, EYE_PX, SHIPPED
 from .gr00t_head import Gr00tHead
 from .heads import ActionHead
 
@@ -38,11 +39,11 @@ CONTACT = "contact"
 near enough."""
 DISPLACEMENTS = "grasp"
 """The control mode in which actions say how far the palm goes from where it is, not where to."""
-IMAGES = "observation.images."
+IMAGES = f"{OBS_IMAGES}."
 SIGHTINGS = "observation.sightings."
 """Keys of the images of a view, and of what the frozen eye saw in them."""
-EYE_PX = 96  # side of the images that the eyes that ship have learned from
-RELATIVE_DIMS = 3  # coordinates of a place, where state and action have as many
+SHIPPED_WEIGHTS = f"{{view}}_{EYE_PX}"  # of the eyes that ship, as an option of the encoder
+MOST_RELATIVE = 3  # coordinates of a place
 FINAL_LR_SHARE = 0.02  # of the learning rate, to which the schedule decays
 
 
@@ -75,10 +76,13 @@ class ObActConfig(PreTrainedConfig):
     ``n_obs_steps``, ``n_future_steps`` and ``n_hands`` as well, for the closed loop.
     """
 
+    sees_frames_once: ClassVar[bool] = True
+    """A frame that is shown again while actions are queued changes nothing."""
+
     n_obs_steps: int = 6  # frames that a sample of the training shows, up to the current one
     n_future_steps: int = 0
-    """Frames after it that a sample shows as well. Through these a palm is rolled out, which needs
-    sightings as a column (`dynahoi encode`) and the target's path."""
+    """Frames after the current one that a sample shows as well. Through these a palm is rolled out,
+    which needs sightings as a column (`dynahoi encode`) and the target's path."""
     drop_n_last_frames: int = 0
     """Last frames of a recording from which LeRobot makes no sample: those after the catch."""
     horizon: int = 8  # actions in a predicted chunk, ``H``
@@ -194,14 +198,17 @@ class ObActConfig(PreTrainedConfig):
         return self.forecasts and self.embodiment.capture == CONTACT
 
     @property
+    def acts_with_shipped_eyes(self) -> bool:
+        """Whether each camera's images are encoded by the eye that ships for its view."""
+        weights = str(self.encoder_options.get("weights"))
+        views = map(view_of, self.cameras)
+        named = (weights.replace("{view}", v) == SHIPPED_WEIGHTS.format(view=v) for v in views)
+        return self.encoder == "eye" and all(named)
+
+    @property
     def sees_motion(self) -> bool:
         """Whether the encoder takes each image together with the one before."""
         return ENCODERS[self.encoder].sees_motion
-
-    @property
-    def sees_frames_once(self) -> bool:
-        """True: a frame that is shown again while actions are queued changes nothing."""
-        return True
 
     @property
     def history_steps(self) -> int:
@@ -241,7 +248,7 @@ class ObActConfig(PreTrainedConfig):
         keys = [
             key for key, feature in (self.input_features or {}).items() if feature.type in vectors
         ]
-        return sorted(keys, key=lambda key: key != "observation.state")
+        return sorted(keys, key=lambda key: key != OBS_STATE)
 
     def validate_features(self) -> None:
         """Check that the dataset has what the policy needs, and decide what its features decide.
@@ -265,18 +272,19 @@ class ObActConfig(PreTrainedConfig):
                 f"'action' must be a flat vector, but the outputs are {self.output_features}."
             )
         state = self.robot_state_feature
-        most = min(state.shape[0] if state else 0, self.action_feature.shape[0])
+        shared = min(state.shape[0] if state else 0, self.action_feature.shape[0])
+        most = min(MOST_RELATIVE, shared)
         if self.relative_dims is None:
             displaces = self.rules.get("control_mode") == DISPLACEMENTS
-            self.relative_dims = 0 if displaces else min(RELATIVE_DIMS, most)
-        allowed = f"0 to {most}, which state and action both have"
+            self.relative_dims = 0 if displaces else most
+        allowed = f"0 to {most}: coordinates of a place, which state and action both have"
         self._require(0 <= self.relative_dims <= most, "relative_dims", allowed)
         eyes = {f"{view_of(key)}_{x.shape[-1]}" for key, x in self.image_features.items()}
         pretrained = eyes <= SHIPPED.keys()
         if not self.encoder:
             self.encoder = "eye" if pretrained else "conv"
         if self.encoder == "eye" and pretrained and not self.encoder_options:
-            self.encoder_options = {"weights": f"{{view}}_{EYE_PX}"}
+            self.encoder_options = {"weights": SHIPPED_WEIGHTS}
         if self.freeze_encoder is None:
             self.freeze_encoder = bool(self.encoder_options.get("weights"))
 

@@ -26,6 +26,7 @@ from torch import Tensor
 from .configuration_obact import (
     CONTACT,
     IMAGES,
+    SHIPPED_WEIGHTS,
     SIGHTINGS,
     Embodiment,
     ObActConfig,
@@ -33,6 +34,8 @@ from .configuration_obact import (
 )
 from .teacher import LONGEST_FRAMES, Targets, Teacher
 
+SHIPPED_SENSOR = "eye"
+"""Name of the image sensor of `dynahoi encode` that sees as the eyes that ship do."""
 ROBOT_TYPE = "dynahoi_hand"
 """LeRobot's ``robot_type`` of a dataset of DynaHOI, also after other tools have edited it."""
 SCHEMA = 1
@@ -133,6 +136,13 @@ def _check_encoder(config: ObActConfig, meta: Any) -> None:
             f"embedding reads, but encoder is {config.encoder!r}, freeze_encoder "
             f"{config.freeze_encoder} and encoder_options {config.encoder_options}"
         )
+    sensor = (provenance_of(meta).get("encoded") or {}).get("sensor", SHIPPED_SENSOR)
+    if encoded and (sensor == SHIPPED_SENSOR) != config.acts_with_shipped_eyes:
+        raise ValueError(
+            f"{meta.repo_id} holds what the sensor {sensor!r} saw, but encoder_options is "
+            f"{config.encoder_options}, with which the policy would act: the weights of 'eye' are "
+            f"{SHIPPED_WEIGHTS!r}"
+        )
     if config.freeze_encoder and image_transforms_enabled():
         raise ValueError(
             "dataset.image_transforms.enable is true, but must be false for a frozen encoder, "
@@ -170,24 +180,31 @@ def columns_of(meta: Any, folder: str, wanted: Iterable[str]) -> dict[str, list[
 
 def rules_of(meta: Any) -> dict[str, Any]:
     """Return how the episodes of a dataset were played, as its manifest says; nothing if it has
-    none.
+    none; raises what `provenance_of` does.
+    """
+    told = provenance_of(meta)
+    for key in ("recording", "recipe", "rules"):
+        told = told.get(key) or {}
+    return told
+
+
+def provenance_of(meta: Any) -> dict[str, Any]:
+    """Return how a dataset came about, as its manifest says; nothing if it has none.
 
     Raises:
         ValueError: if the manifest is of another schema than the one that is read here.
     """
-    manifest = meta.root / "meta" / "manifest.json"
-    if not manifest.exists():
+    path = meta.root / "meta" / "manifest.json"
+    if not path.exists():
         return {}
-    told = json.loads(manifest.read_text())
-    found = told.get("schema")
+    manifest = json.loads(path.read_text())
+    found = manifest.get("schema")
     if found != SCHEMA:
         raise ValueError(
-            f"{manifest} has schema {found!r}, and this policy reads schema {SCHEMA}; generate the "
+            f"{path} has schema {found!r}, and this policy reads schema {SCHEMA}; generate the "
             "dataset again"
         )
-    for key in ("provenance", "recording", "recipe", "rules"):
-        told = told.get(key) or {}
-    return told
+    return manifest.get("provenance") or {}
 
 
 def embodiment_of(meta: Any, cameras: list[str]) -> Embodiment:
@@ -278,7 +295,7 @@ class TargetTable:
             )
         paths = [torch.tensor(np.array(path, np.float32)) for path in constants[TARGET_PATH]]
         flags = torch.tensor(truth[LOCALIZED]).split(count.tolist())
-        catch = torch.tensor([int((~held).cumprod(0).sum()) for held in flags])
+        catch = torch.tensor([int((~caught).cumprod(0).sum()) for caught in flags])
         open_joints, closed_joints = (
             torch.tensor(constants[name], dtype=torch.float32).quantile(CLOSED_QUANTILE, dim=0)
             for name in (OPEN_JOINTS, CLOSED_JOINTS)
@@ -317,13 +334,13 @@ class TargetTable:
         length = self.length[episode]
         inside = torch.minimum(frame.clamp_min(0), length[:, None] - 1)
         path = self.path[episode[:, None], inside]
-        held = torch.zeros_like(catch, dtype=torch.bool)
+        gripped = torch.zeros_like(catch, dtype=torch.bool)
         if self.track is not None:
-            held = newest >= catch
-            length = torch.where(held, self.count[episode], length)
+            gripped = newest >= catch
+            length = torch.where(gripped, self.count[episode], length)
             inside = torch.minimum(frame.clamp_min(0), self.count[episode, None] - 1)
-            path = torch.where(held[:, None, None], self.track[episode[:, None], inside], path)
-        return Targets(path, length - first, catch - first, held), self.begin[episode] - first
+            path = torch.where(gripped[:, None, None], self.track[episode[:, None], inside], path)
+        return Targets(path, length - first, catch - first, gripped), self.begin[episode] - first
 
 
 def _teacher_of(embodiment: Embodiment, open_joints: Tensor, closed_joints: Tensor) -> Teacher:

@@ -31,8 +31,8 @@ READ_WIDTH = 128  # of the hidden layer that reads a sighting
 
 
 class Encoder(nn.Module):
-    """Cells of a grid, and what is seen at the place that the attention finds; a subclass says what
-    the `cells` are, or, if it looks otherwise, how, in place of `look`.
+    """Cells of a grid, and what is seen at the place that the attention finds; a subclass
+    implements `cells`, or overrides `look`.
 
     Args:
         dim: features of a cell.
@@ -87,11 +87,12 @@ class Encoder(nn.Module):
         return torch.cat([ray + shift_unit * shift, log_depth, scales, embedding], dim=-1)
 
 
+EYE_PX = 96  # side of the images that the eyes that ship have learned from
 SHIPPED = {
-    name: Path(__file__).with_name(f"eye_{name}.safetensors") for name in ("ego_96", "side_96")
+    f"{view}_{EYE_PX}": Path(__file__).with_name(f"eye_{view}_{EYE_PX}.safetensors")
+    for view in ("ego", "side")
 }
-"""The eyes that come with the package, by view and side of the images that they have learned from
-[px]."""
+"""The eyes that come with the package, by view and side of the images [px]."""
 PIXEL_MEAN = (0.5, 0.5, 0.5, 0.25, 0.0, 0.0, 0.0)
 PIXEL_STD = (0.25, 0.25, 0.25, 0.25, 0.1, 0.1, 0.1)
 """Mean and standard deviation of RGB, saturation, and the change of RGB since the image before."""

@@ -98,8 +98,10 @@ class Forecaster(nn.Module):
         dim = config.dim
         n_ahead = len(FORECAST_FRAMES)
         cameras = nn.ModuleList(
-            Pinhole.calibrated(config.embodiment.calibration.get(key, UNCALIBRATED))
-            for key in config.cameras
+            Pinhole.from_pose(pose, half_view, carried=bool(carried))
+            for *pose, half_view, carried in (
+                config.embodiment.calibration.get(key, UNCALIBRATED) for key in config.cameras
+            )
         )
         self.cameras = cast("list[Pinhole]", cameras)
         ahead_s = torch.tensor(FORECAST_FRAMES) / config.embodiment.fps
@@ -123,11 +125,11 @@ class Forecaster(nn.Module):
         """
         centers, rays = self.sighted(frames)
         position = fused(centers, rays, frames.sightings[..., 3:N_SIGHTING])
-        hidden = frames.hidden
-        first = position[:, :1] if hidden is None else _first_seen(position, hidden)
+        # where the target was seen in the episode's first frame
+        first = gather_frames(position, frames.hidden.int().argmin(1)[:, None])
         tokens = self.token(_inputs(frames.sightings, rays, position - first))
         age_s = frames.time_s[:, None] - frames.time_s  # (T, T), negative ahead
-        unseen = out_of_sight(age_s, hidden)
+        unseen = out_of_sight(age_s, frames.hidden)
         for block in self.blocks:
             tokens = block(tokens, age_s, unseen)
         tokens = self.norm(tokens)
@@ -175,8 +177,3 @@ def _inputs(sightings: Tensor, rays: Tensor, place: Tensor) -> Tensor:
     seen = torch.cat(by_camera, dim=-1).flatten(2)
     embedding = sightings[..., N_SIGHTING:].flatten(2)
     return torch.cat([(place / PLACE_M).clamp(-MOST_UNITS, MOST_UNITS), seen, embedding], dim=-1)
-
-
-def _first_seen(position: Tensor, hidden: Tensor) -> Tensor:
-    """Return positions ``(B, T, 3)`` in the first frames that are not ``hidden``, ``(B, 1, 3)``."""
-    return gather_frames(position, hidden.int().argmin(1)[:, None])

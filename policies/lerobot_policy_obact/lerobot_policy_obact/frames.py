@@ -36,7 +36,7 @@ class Frames(Record):
     sightings: Tensor
     state: Tensor  # of the robot, (B, T, S)
     time_s: Tensor  # when they were seen [s], (T,)
-    hidden: Tensor | None = None  # frames before an episode's first, (B, T); None if there are none
+    hidden: Tensor  # whether they come before the episode's first, (B, T)
 
     @property
     def palm(self) -> Tensor:
@@ -45,9 +45,8 @@ class Frames(Record):
 
     def __getitem__(self, index: Any) -> Self:
         """Return the frames of some episodes; all have the same times."""
-        chosen = {"sightings": self.sightings[index], "state": self.state[index]}
-        hidden = None if self.hidden is None else self.hidden[index]
-        return replace(self, **chosen, hidden=hidden)
+        chosen = {name: getattr(self, name)[index] for name in ("sightings", "state", "hidden")}
+        return replace(self, **chosen)
 
 
 class ObservationHistory:
@@ -55,7 +54,7 @@ class ObservationHistory:
 
     Attributes:
         ticks: of the frames, counted from the first one of the episode, oldest first; empty before
-            that.
+            the first frame.
         now_s: when the newest was seen [s].
         began_s: when the first was seen [s].
     """
@@ -68,15 +67,25 @@ class ObservationHistory:
         self.began_s = 0.0
 
     def add(self, sightings: Tensor, state: Tensor, time_s: float) -> None:
-        """Add what B environments show at ``time_s``: ``(B, C, 5 + E)`` and ``(B, S)``."""
+        """Add what B environments show at ``time_s``: ``(B, C, 5 + E)`` and ``(B, S)``.
+
+        Raises:
+            ValueError: if that is earlier than the frame before.
+        """
         if not self.ticks:
             self.began_s = time_s
+        elif time_s < self.now_s:
+            raise ValueError(
+                f"the timestamp is {time_s:.3f} s after {self.now_s:.3f} s, but must not go back: "
+                "call policy.reset() when an episode begins."
+            )
         self.now_s = time_s
         self.ticks.append(self._tick(time_s))
         # counted from the first frame, because single precision holds no times of day, and rounded,
         # so that timestamps in single precision and counting say the same
         elapsed_s = state.new_tensor([round(time_s - self.began_s, 4)])
-        self._frames.append(Frames(sightings[:, None], state[:, None], elapsed_s))
+        hidden = torch.zeros(len(state), 1, dtype=torch.bool, device=state.device)
+        self._frames.append(Frames(sightings[:, None], state[:, None], elapsed_s, hidden))
 
     def keep_rows(self, rows: Any) -> None:
         """Go on with the environments of rows ``(R,)`` alone."""
@@ -97,6 +106,7 @@ class ObservationHistory:
             torch.cat([frame.sightings for frame in self._frames], dim=1),
             torch.cat([frame.state for frame in self._frames], dim=1),
             torch.cat([frame.time_s for frame in self._frames]),
+            torch.cat([frame.hidden for frame in self._frames], dim=1),
         )
 
 
@@ -117,6 +127,6 @@ def stepped(palm: Tensor, goal: Tensor, step_m: float) -> Tensor:
     """Return where palms ``(..., 3)`` [m] are a frame later that go towards their goals, at most
     ``step_m`` far.
     """
-    way = goal - palm
-    reach = step_m / (way.square().sum(-1, keepdim=True) + 1e-10).sqrt()
-    return palm + way * reach.clamp_max(1.0)
+    left = goal - palm
+    reach = step_m / (left.square().sum(-1, keepdim=True) + 1e-10).sqrt()
+    return palm + left * reach.clamp_max(1.0)

@@ -151,9 +151,9 @@ class Gr00tHead(nn.Module):
         """Shape of the noise that a chunk starts from."""
         return self.horizon, self.max_action_dim
 
-    def sample(self, context: Tensor, frame: int) -> Tensor:
+    def sample(self, context: Tensor, tick: int) -> Tensor:
         """See `ActionHead.sample`."""
-        start = frame_noise(frame, (1, *self.noise_shape), context)
+        start = frame_noise(tick, (1, *self.noise_shape), context)
         return self.denoise(context, start.expand(len(context), -1, -1), self.n_steps)
 
     def denoise(self, context: Tensor, start: Tensor, n_steps: int) -> Tensor:
@@ -166,7 +166,9 @@ class Gr00tHead(nn.Module):
         return euler_integrate(towards_noise, start, n_steps)[..., : self.action_dim]
 
     def memory(self, context: Tensor) -> Tensor:
-        """Return the vision-language token that the transformer attends to, ``(R, 1, C)``."""
+        """Return the vision-language token that the transformer attends to, ``(R, 1,
+        memory_dim)``.
+        """
         return self.vl_self_attention(self.vlln(self.condition_in(context)[:, None]))
 
     def velocity(self, x: Tensor, t: Tensor, memory: Tensor) -> Tensor:

@@ -87,15 +87,18 @@ class Grip(Teacher):
 
     def misses(self, offsets: Tensor) -> Tensor:
         """See `Teacher.misses`: how far they are from where the target has its seat, on average
-        while fingers close.
+        while fingers close, or through all frames if there are fewer.
         """
         apart = (self._from_seat(offsets).square().sum(-1) + 1e-10).sqrt()
-        return apart.unfold(1, STILL_FRAMES, 1).mean(-1)
+        return apart.unfold(1, min(STILL_FRAMES, apart.shape[1]), 1).mean(-1)
 
     def caught(self, offsets: Tensor, joints: Tensor) -> Tensor:
-        """See `Teacher.caught`: after `HELD_FRAMES` in which it `holds` its target."""
-        runs = self.holds(offsets, joints).unfold(1, HELD_FRAMES, 1).all(-1)
-        return nn.functional.pad(runs, (HELD_FRAMES - 2, 0))
+        """See `Teacher.caught`: after `HELD_FRAMES` in which it `holds` its target, or all frames
+        if there are fewer.
+        """
+        n = min(HELD_FRAMES, offsets.shape[1])
+        runs = self.holds(offsets, joints).unfold(1, n, 1).all(-1)
+        return nn.functional.pad(runs, (n - 2, 0))
 
     def holds(self, offsets: Tensor, joints: Tensor) -> Tensor:
         """Return whether hands hold their targets, as the expert takes it: if fingers are closed

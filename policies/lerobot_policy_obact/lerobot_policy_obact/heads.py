@@ -33,13 +33,13 @@ PHASES = tuple(2.0**i for i in range(-1, 7))
 """Frequencies in which time enters a denoiser, in half turns: up to 64 within its range."""
 
 
-def frame_noise(frame: int, shape: tuple[int, ...], like: Tensor) -> Tensor:
-    """Return normal noise that is a function of a frame's number alone, in the type of ``like``.
+def frame_noise(tick: int, shape: tuple[int, ...], like: Tensor) -> Tensor:
+    """Return normal noise that is a function of a tick's number alone, in the type of ``like``.
 
     So what a policy does follows from what it sees: batch size, order, interruption and machine
     change nothing.
     """
-    drawn = np.random.default_rng((NOISE_SEED, frame)).standard_normal(shape, dtype=np.float32)
+    drawn = np.random.default_rng((NOISE_SEED, tick)).standard_normal(shape, dtype=np.float32)
     return torch.from_numpy(drawn).to(like)
 
 
@@ -185,14 +185,15 @@ class ActionHead(nn.Module):
         scales = zip(log_scale.exp().split(1, dim=-1), self.groups, strict=True)
         return torch.cat([scale.expand(-1, -1, size) for scale, size in scales], dim=-1)
 
-    def sample(self, context: Tensor, frame: int) -> Tensor:
+    def sample(self, context: Tensor, tick: int) -> Tensor:
         """Sample a chunk for every context, ``(R, C) -> (R, H, A)``.
 
-        ``n_draws`` chunks start from the noise of the frame, counted from the start of the episode,
-        and a quantile of every entry makes one of them.
+        ``n_draws`` chunks start from the noise of the tick, counted from the start of the episode.
+        Of these, each entry of the first group takes the median, and of the other one the
+        ``closing_quantile``.
         """
         n = self.n_draws
-        noise = frame_noise(frame, (n, *self.noise_shape), context)
+        noise = frame_noise(tick, (n, *self.noise_shape), context)
         start = repeat(noise, "n h a -> (r n) h a", r=len(context))
         draws = self.denoise(context, start, self.n_steps)
         draws = rearrange(draws, "(r n) h a -> n r h a", n=n).sort(dim=0).values

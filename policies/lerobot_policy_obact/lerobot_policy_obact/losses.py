@@ -4,7 +4,7 @@ A decision is compared with the answer of a teacher that knows the future (`deci
 nothing in imitation tells a policy that a forecast which is wrong now will be less wrong in five
 frames. So from some frame on a palm is moved by what the head decides in each frame, as far as its
 speed allows, and what counts is how near it comes to catching the target (`closed_loop_loss`). Only
-the palm is played: the forecasts that the head reads are from the sightings of the window, those of
+the hand is played: the forecasts that the head reads are from the sightings of the window, those of
 another hand, and do not change with where the palm gets to. Training only.
 """
 
@@ -30,8 +30,8 @@ INTERCEPT_SPREAD = 0.25  # times are near an intercept within this share of the 
 RIM = 0.9
 SOFTNESS = 0.27
 """The closed loop's loss is a smooth step: a sigmoid of the distance in radii within which a target
-is caught, around the first number, with the second as its width. A palm at the rim itself counts
-for 0.6."""
+is caught, around the first number, with the second as its width. A palm that is exactly one radius
+away counts for 0.6."""
 DISTANCE_UNIT_M = 0.1
 DISTANCE_WEIGHT = 0.3
 LARGEST_DISTANCE = 2.0
@@ -75,8 +75,8 @@ def first_decision(window: Window, n_obs_steps: int) -> Tensor:
     """
     earliest = torch.full_like(window.begin, n_obs_steps - 1)
     hidden = window.frames.hidden
-    if hidden is not None:  # the first frame that is not hidden is then the episode's first
-        earliest = torch.where(hidden.any(1), hidden.sum(1), earliest)
+    # where some are hidden, the first that is not is the episode's first
+    earliest = torch.where(hidden.any(1), hidden.sum(1), earliest)
     last = window.recorded.shape[1] - 1
     return torch.maximum(window.begin.clamp_max(last) - window.delay_frames, earliest)
 
@@ -111,14 +111,14 @@ def decision_losses(
     state = torch.cat([palm, state[..., 3:]], dim=-1)
     # at the latest in the last frame but one that is known: a teacher looks a frame ahead
     due = torch.minimum(rows + delay, targets.length[:, None] - 2)
-    held = targets.held[:, None, None, None]
-    hands = torch.where(held, state[:, :, None], teacher.hands(targets, due, state))
+    gripped = targets.gripped[:, None, None, None]
+    hands = torch.where(gripped, state[:, :, None], teacher.hands(targets, due, state))
     answers = teacher.answer(targets, due, hands, model.config.horizon)
     near = _nearness(answers.frames + delay, answers.reachable)
     losses = {"forecast": forecast_loss(model, forecast.places, targets, rows, near)}
 
-    n_windows, _, n_hands = hands.shape[:3]
-    repeated = forecast.later(delay).map(lambda x: repeat(x, "b q ... -> (b q m) ...", m=n_hands))
+    n_windows, _, n_states = hands.shape[:3]
+    repeated = forecast.later(delay).map(lambda x: repeat(x, "b q ... -> (b q m) ...", m=n_states))
     states = hands.flatten(0, 2)
     context, origin = model.condition(repeated, palm_of(states), states)
     actions = torch.cat([answers.goal, teacher.joints(answers.closing)], dim=-1)
@@ -127,8 +127,8 @@ def decision_losses(
     weight = weight * (rows + delay < targets.catch[:, None])[..., None]
     weight = repeat(weight, "b q m -> b q m h", h=model.config.horizon)
     # a hand that grips the target goes on as it was recorded
-    actions = torch.where(held[..., None], window.actions[:, None, None], actions).flatten(0, 2)
-    weight = torch.where(held, window.action_weight[:, None, None], weight).flatten(0, 2)
+    actions = torch.where(gripped[..., None], window.actions[:, None, None], actions).flatten(0, 2)
+    weight = torch.where(gripped, window.action_weight[:, None, None], weight).flatten(0, 2)
     # (B * Q * M,)
     loss = model.head.loss(context, model.normalize(actions, origin.detach()), weight)
     losses["action"] = rearrange(loss, "(b n) -> b n", b=n_windows).mean(1)
@@ -183,9 +183,9 @@ def closed_loop_loss(
     path = gather_frames(targets.path, due.clamp_max(targets.path.shape[1] - 1))
     last = window.recorded.shape[1] - 1
     state = gather_frames(window.frames.state, due[:, :1].clamp_max(last))
-    way = palm_of(rolled_out(model, forecast, state))
-    misses = teacher.misses(way - path)  # (B, R')
-    known = known[:, : misses.shape[1]] & ~targets.held[:, None]
+    palms = palm_of(rolled_out(model, forecast, state))
+    misses = teacher.misses(palms - path)  # (B, R')
+    known = known[:, : misses.shape[1]] & ~targets.gripped[:, None]
     least = misses.masked_fill(~known, torch.inf).amin(1)
     least = least.where(least.isfinite(), 0.0)
     step = torch.sigmoid((least / teacher.radius_m - RIM) / SOFTNESS)

@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     from .forecaster import Forecast
     from .windows import Window
 
+TIMESTAMP = "timestamp"
+"""Key of the time at which a frame was seen [s]."""
+
 
 class Decision(NamedTuple):
     """What the newest decision of B environments was based on, for whoever draws it."""
@@ -156,7 +159,7 @@ class ObActPolicy(PreTrainedPolicy):
         from .windows import VirtualHands
 
         assert self.targets is not None
-        hands = VirtualHands(self.config, self.targets.teacher, self.model)
+        hands = VirtualHands(self.targets.teacher, self.model)
         virtual_share = self.config.virtual_share if self.training else 0.0
         return hands.drawn(window.repeated(self.config.n_hands), virtual_share)
 
@@ -240,7 +243,8 @@ class ObActPolicy(PreTrainedPolicy):
         self._history.keep_rows(rows)
         self._commands.keep_rows(rows)
         self._action_queue = deque(actions[rows] for actions in self._action_queue)
-        self._shown = {key: values[rows] for key, values in (self._shown or {}).items()}
+        if self._shown is not None:
+            self._shown = {key: values[rows] for key, values in self._shown.items()}
         return True
 
     @on_one_thread
@@ -281,7 +285,7 @@ class ObActPolicy(PreTrainedPolicy):
         """
         self.eval()
         now_s = time.monotonic() if live else self._history.now_s + step_s
-        if live and "timestamp" not in batch:
+        if live and TIMESTAMP not in batch:
             # LeRobot's real-time chunking asks faster than frames come, and after a reset it shows
             # the last frame of the episode before: the policy acts on that, and forgets it when
             # another frame comes, with which the episode begins
@@ -298,7 +302,15 @@ class ObActPolicy(PreTrainedPolicy):
     def _is_shown_again(self, batch: Batch) -> bool:
         """Whether a batch is the one that was shown last."""
         shown = self._shown
-        return shown is not None and all(torch.equal(x, batch[key]) for key, x in shown.items())
+        seen = self._observed(batch)
+        if shown is None or shown.keys() != seen.keys():
+            return False
+        return all(torch.equal(x, seen[key]) for key, x in shown.items())
+
+    def _observed(self, batch: Batch) -> Batch:
+        """Return what a batch holds of a frame: state, images, and when it was seen, if it says."""
+        keys = (*self.config.state_keys, *self.config.cameras, TIMESTAMP)
+        return {key: batch[key] for key in keys if key in batch}
 
     def _see(self, batch: Batch, time_s: float) -> None:
         """Encode the newest frame and keep it; it was seen at ``time_s`` if the batch does not say
@@ -318,10 +330,10 @@ class ObActPolicy(PreTrainedPolicy):
             )
         sightings = model.encode_images(batch, before)
         state = model.state_of(batch, sightings.shape[:1])
-        if "timestamp" in batch:
-            time_s = float(batch["timestamp"].flatten()[0])
+        if TIMESTAMP in batch:
+            time_s = float(batch[TIMESTAMP].flatten()[0])
         self._history.add(sightings, state, time_s)
-        self._shown = {key: batch[key].clone() for key in (*self.config.state_keys, *cameras)}
+        self._shown = {key: x.clone() for key, x in self._observed(batch).items()}
 
     def _chunk(self, inference_delay: int, n_actions: int) -> Tensor:
         """Return the first actions of the chunk for the newest frame, ``(B, n_actions, A)``, that

@@ -186,7 +186,7 @@ class ObActModel(nn.Module):
 def rolled_out(
     model: ObActModel,
     forecast: Forecast,
-    way: Tensor,
+    before: Tensor,
     *,
     begin: Tensor | None = None,
 ) -> Tensor:
@@ -196,19 +196,19 @@ def rolled_out(
     Args:
         model: whose head it is.
         forecast: of the decisions, ``(B, R)``.
-        way: states until the first of these takes effect, ``(B, W, S)``.
+        before: states until the first of these takes effect, ``(B, W, S)``.
         begin: the decision from which on the hand moves, ``(B,)``; by default the first.
     """
-    ways = [*way.unbind(1)]
+    states = [*before.unbind(1)]
     step_m = model.config.embodiment.step_m
     for r in range(forecast.features.shape[1]):
-        state = ways[-1]
+        state = states[-1]
         palm = palm_of(state)
         action = model.act_once(forecast[:, r], palm, state)
         rest = action if model.config.grips else state
         moved = torch.cat([stepped(palm, palm_of(action), step_m), rest[:, 3:]], dim=-1)
-        ways.append(moved if begin is None else torch.where((begin <= r)[:, None], moved, state))
-    return torch.stack(ways, dim=1)
+        states.append(moved if begin is None else torch.where((begin <= r)[:, None], moved, state))
+    return torch.stack(states, dim=1)
 
 
 def _options(options: dict[str, Any], camera: str) -> dict[str, Any]:

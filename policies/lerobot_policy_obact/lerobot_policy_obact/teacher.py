@@ -44,7 +44,7 @@ class Targets(Record):
     catch: Tensor  # the frame in which the hand has caught them; nothing is decided after it, (B,)
     # whether the recorded hand grips them in the current frame, so that its actions are learned,
     # (B,)
-    held: Tensor
+    gripped: Tensor
 
     def places(self, frame: Tensor) -> Tensor:
         """Return where targets are in frames ``(B, Q, K)`` [m], ``(B, Q, K, 3)``."""
@@ -142,6 +142,6 @@ def passing_distance(start: Tensor, end: Tensor) -> Tensor:
     """Return the least length ``(...)`` of vectors ``(..., 3)`` going from ``start`` to ``end`` in
     a straight line.
     """
-    way = end - start
-    share = (-(start * way).sum(-1) / way.square().sum(-1).clamp_min(1e-10)).clamp(0, 1).detach()
-    return ((start + share[..., None] * way).square().sum(-1) + 1e-10).sqrt()
+    step = end - start
+    share = (-(start * step).sum(-1) / step.square().sum(-1).clamp_min(1e-10)).clamp(0, 1).detach()
+    return ((start + share[..., None] * step).square().sum(-1) + 1e-10).sqrt()

@@ -1,6 +1,6 @@
 """The windows that LeRobot delivers, and other hands in them.
 
-A sample of a training shows the frames around one of a recording. With the target's path, that
+A sample of a training is a window around a frame of a recording. With the target's path, that
 recording also says what another hand would have seen:
 
     transplant  the view of the true target from another palm, plus the error that the camera made
@@ -20,7 +20,6 @@ import torch
 from torch import Tensor
 
 from .camera import Pinhole
-from .configuration_obact import ObActConfig
 from .frames import Frames, Record, gather_frames
 from .network import ObActModel, rolled_out
 from .teacher import Targets, Teacher
@@ -61,13 +60,11 @@ class VirtualHands:
     """Draws hands for windows with targets.
 
     Args:
-        config: of the policy.
         teacher: knows what a catch is.
         model: leads hands, and knows the cameras.
     """
 
-    def __init__(self, config: ObActConfig, teacher: Teacher, model: ObActModel) -> None:
-        self.config = config
+    def __init__(self, teacher: Teacher, model: ObActModel) -> None:
         self.teacher = teacher
         self.model = model
 
@@ -76,9 +73,10 @@ class VirtualHands:
         """Return the windows with hands of which about ``virtual_share`` are virtual."""
         targets = window.targets
         assert targets is not None
-        led = _chance(virtual_share, len(window.begin), window.begin.device) & ~targets.held
-        donors = Donors(window, self.model.forecaster.cameras)
-        shown = self._with_state(window, donors, self._ways(window, donors, led))
+        gripped = targets.gripped
+        led = (torch.rand(gripped.shape, device=gripped.device) < virtual_share) & ~gripped
+        errors = RecordedErrors(window, self.model.forecaster.cameras)
+        shown = self._with_state(window, errors, self._states(window, errors, led))
         catch = torch.where(led, self._catch(shown), targets.catch)
         return replace(shown, targets=replace(targets, catch=catch))
 
@@ -96,34 +94,35 @@ class VirtualHands:
         first = torch.where(caught, frame + 1, targets.length[:, None])
         return torch.cat([first, targets.length[:, None]], dim=1).amin(1)
 
-    def _ways(self, window: Window, donors: Donors, led: Tensor) -> Tensor:
+    def _states(self, window: Window, errors: RecordedErrors, led: Tensor) -> Tensor:
         """Return the states of the hands, ``(B, L, S)``: recorded, or led by what they would have
         seen along the recorded way.
         """
         n = window.recorded.shape[1]
         delay = window.delay_frames
         device = window.begin.device
-        ways = window.frames.state.clone()
+        states = window.frames.state.clone()
         # a hand that still waits is at home
         elsewhere = (led & (window.begin <= 0))[:, None, None]
-        spread_m = START_M * torch.rand(len(ways), 1, 1, device=device) ** START_POWER
-        ways[..., :3] += elsewhere * spread_m * torch.randn(len(ways), 1, 3, device=device)
-        seen = self._with_state(window, donors, ways).frames[led]
+        spread_m = START_M * torch.rand(len(states), 1, 1, device=device) ** START_POWER
+        states[..., :3] += elsewhere * spread_m * torch.randn(len(states), 1, 3, device=device)
+        seen = self._with_state(window, errors, states).frames[led]
         rows = torch.arange(max(0, n - 1 - delay), device=device).expand(len(seen.state), -1)
         forecast = self.model.encode_history(seen, rows).later(delay)
         moves = (window.begin - delay)[led]  # the decision whose command first moves the hand
-        ways[led] = rolled_out(self.model, forecast, ways[led, : delay + 1], begin=moves)
-        return ways
+        states[led] = rolled_out(self.model, forecast, states[led, : delay + 1], begin=moves)
+        return states
 
-    def _with_state(self, window: Window, donors: Donors, state: Tensor) -> Window:
+    def _with_state(self, window: Window, errors: RecordedErrors, state: Tensor) -> Window:
         """Return what hands would have seen in states ``(B, L, S)``."""
         assert window.targets is not None
-        seen = donors.seen(window.targets.path[:, : state.shape[1]], state[..., :3])
+        seen = errors.seen(window.targets.path[:, : state.shape[1]], state[..., :3])
         return replace(window, frames=replace(window.frames, sightings=seen, state=state))
 
 
-class Donors:
-    """The recorded frames of windows, whose errors are taken to what other palms would have seen.
+class RecordedErrors:
+    """The errors that the cameras made in the recorded frames of windows, in what other palms would
+    have seen.
 
     Args:
         window: as recorded.
@@ -136,7 +135,7 @@ class Donors:
         n = window.recorded.shape[1]
         assert targets is not None
         row = torch.arange(n, device=recorded.device)
-        usable = recorded & ((row < targets.catch[:, None]) | targets.held[:, None])
+        usable = recorded & ((row < targets.catch[:, None]) | targets.gripped[:, None])
         # a window after the catch has none: one must do, though it may show something else
         usable[:, 0] |= ~usable.any(1)
         self.usable = usable
@@ -162,9 +161,9 @@ class Donors:
 
     def _with_errors(self, view: Tensor, was: Tensor, seen: Tensor) -> Tensor:
         """Return what one camera sees, ``(B, L, 5)``, whose true view is ``(B, L, 3)``."""
-        donor = self._nearest(view, was)
-        seen = gather_frames(seen, donor)
-        was = gather_frames(was, donor)
+        source = self._nearest(view, was)
+        seen = gather_frames(seen, source)
+        was = gather_frames(was, source)
         error = seen[..., :3] - was
         farther = ((view - was)[..., 2:] * DEPTH_POWER).exp().clamp(*DEPTH_RATIOS)
         error = torch.cat([error[..., :2], error[..., 2:] * farther], dim=-1)
@@ -192,8 +191,3 @@ def _views(cameras: list[Pinhole], place: Tensor, palm: Tensor) -> Tensor:
 def _in_units(view: Tensor) -> Tensor:
     cut = view[..., :2].clamp(-VIEW_LIMIT, VIEW_LIMIT)
     return torch.cat([cut, view[..., 2:]], dim=-1) / view.new_tensor(UNITS)
-
-
-def _chance(share: float, n: int, device: torch.device) -> Tensor:
-    """Return which of n are chosen, ``(n,)`` bool."""
-    return torch.rand(n, device=device) < share

@@ -170,7 +170,7 @@ def test_before_the_grip_a_target_goes_its_way_and_then_it_goes_with_the_hand(ro
     catch = int(table.catch[0])
     newest = torch.tensor([catch - 1, catch])
     targets, _ = table.window(torch.zeros(2, dtype=torch.long), newest, [-1, 0, 1, 2, 3, 4])
-    assert targets.held.tolist() == [False, True]
+    assert targets.gripped.tolist() == [False, True]
     torch.testing.assert_close(targets.path[0, :6], table.path[0, catch - 2 : catch + 4])
     torch.testing.assert_close(targets.path[1, :6], places[catch - 1 : catch + 5].float())
     ways = table.path[0, catch + 20] - places[catch + 20]
@@ -182,8 +182,8 @@ def test_a_hand_that_grips_is_shown_as_it_was_and_learns_what_it_did(root: Path)
     window = policy._window(batch_of(policy, root))
     targets = window.targets
     assert isinstance(targets, Targets)
-    assert 0.2 < targets.held.float().mean() < 0.9
-    held = window[targets.held]
+    assert 0.2 < targets.gripped.float().mean() < 0.9
+    held = window[targets.gripped]
     torch.manual_seed(0)
     shown = policy._with_hands(held)
     torch.testing.assert_close(shown.frames.state, held.repeated(2).frames.state)
@@ -192,7 +192,7 @@ def test_a_hand_that_grips_is_shown_as_it_was_and_learns_what_it_did(root: Path)
     torch.testing.assert_close(shown.frames.sightings[:, :row], seen[:, :row], atol=1e-3, rtol=1e-3)
     losses = {}
     for name, change_m in (("as recorded", 0.0), ("elsewhere", 0.5)):
-        for whose, some in (("held", held), ("free", window[~targets.held])):
+        for whose, some in (("held", held), ("free", window[~targets.gripped])):
             moved = replace(some, actions=some.actions + change_m)
             torch.manual_seed(0)
             found = window_losses(policy.model, moved, table_of(policy).teacher)
@@ -248,6 +248,18 @@ def test_a_target_is_caught_once_it_was_held_for_some_frames():
     assert caught.tolist() == [[False] * 5 + [True, True]]
 
 
+@pytest.mark.parametrize("frames", [1, 2, 3])
+def test_in_a_short_window_a_target_is_caught_that_is_held_throughout(frames: int):
+    hand = grip()
+    offsets = -SEAT.expand(1, frames, 3)
+    joints = hand.closed_joints.expand(1, frames, -1)
+    caught = hand.caught(offsets, joints)
+    assert caught.shape == (1, frames - 1), "one for each frame after the first"
+    assert caught[:, -1:].all()
+    assert not hand.caught(offsets + 0.2, joints).any()
+    assert hand.misses(offsets).shape == (1, 1)
+
+
 @pytest.mark.parametrize("far", [True, False])
 def test_fingers_of_led_hands_follow_the_head(root: Path, monkeypatch, *, far: bool):
     """One that closes them far from its target does not hold it; near it, it has caught it."""
@@ -255,7 +267,7 @@ def test_fingers_of_led_hands_follow_the_head(root: Path, monkeypatch, *, far: b
     policy = learner(root)
     window = policy._window(batch_of(policy, root))
     assert window.targets is not None
-    free = window[~window.targets.held & (window.begin < 3)]
+    free = window[~window.targets.gripped & (window.begin < 3)]
     teacher = table_of(policy).teacher
     closed = teacher.joints(torch.ones(()))
 
@@ -268,7 +280,7 @@ def test_fingers_of_led_hands_follow_the_head(root: Path, monkeypatch, *, far: b
         path = free.frames.palm[:, :1] + SEAT
         path = path.expand_as(free.targets.path)
         free = replace(free, targets=replace(free.targets, path=path))
-    hands = VirtualHands(policy.config, teacher, policy.model)
+    hands = VirtualHands(teacher, policy.model)
     torch.manual_seed(0)
     shown = hands.drawn(free, 1.0)
     assert shown.targets is not None

@@ -46,7 +46,8 @@ def test_the_ray_is_that_of_the_cell_attended_to_and_of_two_targets_one_is_looke
 @pytest.mark.parametrize("fps", [20, 50, 100, 500])
 def test_no_frame_sees_one_ahead_at_any_rate(fps: int):
     times = torch.arange(8, dtype=torch.double) / fps
-    unseen = out_of_sight((times[:, None] - times).float(), None)
+    seen = torch.zeros(1, 8, dtype=torch.bool)
+    unseen = out_of_sight((times[:, None] - times).float(), seen)
     assert (unseen[0] == torch.ones(8, 8).triu(1).bool()).all()
 
 
@@ -72,7 +73,7 @@ def test_readouts_return_convex_combinations_of_earlier_positions():
     positions = torch.arange(6.0)[None, :, None].expand(1, 6, 3)
     time_s = torch.arange(6) * 0.05
     age_s = time_s[:, None] - time_s
-    unseen = out_of_sight(age_s, None)
+    unseen = out_of_sight(age_s, torch.zeros(1, 6, dtype=torch.bool))
     rows = torch.tensor([[0, 3]])
     points, weights = readout(torch.randn(1, 6, 16), positions, age_s, unseen, rows)
     torch.testing.assert_close(weights @ positions[:, None], points)

@@ -242,7 +242,9 @@ def test_a_window_shows_the_target_as_it_moves_from_its_first_frame_on(episodes,
         assert window.frames.hidden[i].sum() == max(0, -first)
 
 
+EYE = {"encoder": "eye", "freeze_encoder": True}
 FOR_ITS_EYE = "has sightings instead of images, which only"
+OTHER_EYE = "holds what the sensor 'eye' saw, but encoder_options is .*the weights of 'eye'"
 RENAMED = {
     "observation.images.camera1": PolicyFeature(FeatureType.VISUAL, (3, 96, 96)),
     "observation.state": PolicyFeature(FeatureType.STATE, (18,)),
@@ -255,9 +257,18 @@ RENAMED = {
         ("image_root", {}, "n_future_steps is 24, but must be 0 .* `dynahoi encode`"),
         ("hand_root", {"encoder": "conv", "freeze_encoder": None}, FOR_ITS_EYE),
         ("hand_root", {"freeze_encoder": False}, FOR_ITS_EYE),
+        ("hand_root", EYE | {"encoder_options": {"channels": 8}}, OTHER_EYE),
+        ("hand_root", EYE | {"encoder_options": {"weights": "side_96"}}, OTHER_EYE),
         ("hand_root", {"input_features": RENAMED}, "no observation.images.camera1.*--rename_map"),
     ],
-    ids=["images of frames to come", "sightings to conv", "to an eye that learns", "no pose"],
+    ids=[
+        "images of frames to come",
+        "sightings to conv",
+        "to an eye that learns",
+        "to an eye with random weights",
+        "to the eye of another view",
+        "no pose",
+    ],
 )
 def test_a_dataset_that_it_cannot_learn_from_is_refused(
     root: str, changes: dict, said: str, request: pytest.FixtureRequest
@@ -454,6 +465,22 @@ def test_frames_that_were_dropped_count_as_time_that_passed_also_between_chunks(
     torch.testing.assert_close(chunks[:, :, 0], with_drops)
     today = [batch | {"timestamp": batch["timestamp"].double() + 1.7e9} for batch in stamped]
     torch.testing.assert_close(acted(today), with_drops, atol=1e-4, rtol=0)
+
+
+def test_a_frame_with_a_new_timestamp_counts_even_if_it_looks_like_the_one_before():
+    policy = varied(n_action_steps=2)
+    for i in range(4):
+        policy.select_action(at(0.05 * i, step(policy)))
+    assert list(policy._history.ticks) == [0, 1, 2, 3]
+
+
+def test_time_that_goes_back_asks_for_a_reset():
+    policy = varied()
+    policy.select_action(at(1.0, step(policy)))
+    with pytest.raises(ValueError, match=r"0\.900 s after 1\.000 s.*policy\.reset\(\)"):
+        policy.select_action(at(0.9, step(policy)))
+    policy.reset()
+    policy.select_action(at(0.9, step(policy)))
 
 
 def test_a_window_reaches_back_over_frames_that_were_dropped():
@@ -699,7 +726,7 @@ def test_another_number_of_environments_needs_a_reset():
         ("encoder", "camera", "eye, conv"),
         ("head", "arm", "diffusion, gr00t"),
         ("n_obs_steps", 0, "1 or more"),
-        ("relative_dims", 19, "0 to 18"),
+        ("relative_dims", 4, "0 to 3"),
         ("n_action_steps", 9, "1 to 4"),
         ("delayed_share", -0.5, "0 to 1"),
         ("virtual_share", 1.5, "0 to 1"),

@@ -14,7 +14,7 @@ from lerobot_policy_obact.frames import Frames
 from lerobot_policy_obact.losses import closed_loop_loss, window_losses
 from lerobot_policy_obact.network import ObActModel
 from lerobot_policy_obact.teacher import LONGEST_FRAMES, Targets, Teacher
-from lerobot_policy_obact.windows import Donors, VirtualHands, Window
+from lerobot_policy_obact.windows import RecordedErrors, VirtualHands, Window
 from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.nn.attention import SDPBackend, sdpa_kernel
 
@@ -76,7 +76,7 @@ def policy(**changes: object) -> ObActPolicy:
 
 def hands(actor: ObActPolicy | None = None) -> VirtualHands:
     actor = actor or policy()
-    return VirtualHands(actor.config, teacher(), actor.model)
+    return VirtualHands(teacher(), actor.model)
 
 
 # -- transplanted sightings ------------------------------------------------------------------------
@@ -85,7 +85,7 @@ def hands(actor: ObActPolicy | None = None) -> VirtualHands:
 def seen_from(palm: torch.Tensor, window: Window) -> torch.Tensor:
     """What palms at (B, L, 3) would have seen of the targets of windows, (B, L, 5)."""
     path = window.targets.path[:, :LENGTH]
-    return Donors(window, [camera()]).seen(path, palm)[:, :, 0]
+    return RecordedErrors(window, [camera()]).seen(path, palm)[:, :, 0]
 
 
 def view_from(palm: torch.Tensor, window: Window) -> torch.Tensor:

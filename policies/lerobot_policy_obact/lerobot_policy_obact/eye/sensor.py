@@ -11,7 +11,7 @@ import torch
 from einops import rearrange
 
 from ..camera import Pinhole
-from ..encoders import SHIPPED, Eye
+from ..encoders import EYE_PX, SHIPPED, Eye
 from ..threads import on_one_thread
 
 
@@ -33,7 +33,7 @@ class EyeSensor:
         "log_error_across",
         "log_error_along",
     )
-    image_px: ClassVar[int] = 96
+    image_px: ClassVar[int] = EYE_PX
 
     def __init__(self, view: str) -> None:
         name = f"{view}_{self.image_px}"
