@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
 
 from dynahoi_lerobot.core.arguments import argument, option
 from dynahoi_lerobot.core.conventions import EGO_VIEW, PALM_DOF
@@ -128,6 +129,7 @@ def encode(
         with redirect_stderr(StringIO()):  # two bars of progress for seconds
             modify_features(dataset, added, left_out, folder, dataset.repo_id)
         _copy_unknown(root / "meta", folder / "meta")
+        _forget(folder, left_out)
         stats = json.loads((folder / paths.STATS_PATH).read_text())
         for key, (values, _) in added.items():
             found = column_stats(values)
@@ -174,6 +176,17 @@ def _eye_states(store: Store, sensor: type[ImageSensor], sightings: np.ndarray) 
         strict=True,
     )
     return np.concatenate([eye_state(sensor, *episode) for episode in episodes])
+
+
+def _forget(root: Path, keys: Sequence[str]) -> None:
+    """Remove what the episode table says of columns that are gone, which keeps LeRobot's tools from
+    editing the dataset.
+    """
+    prefixes = tuple(f"{kind}/{key}/" for kind in ("stats", "videos") for key in keys)
+    for path in sorted((root / "meta" / "episodes").rglob("*.parquet")):
+        table = pq.read_table(path)
+        gone = [name for name in table.column_names if name.startswith(prefixes)]
+        pq.write_table(table.drop_columns(gone), path)
 
 
 def _copy_unknown(source: Path, target: Path) -> None:

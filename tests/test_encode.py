@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lerobot.datasets.dataset_tools import delete_episodes
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
 from dynahoi_lerobot.core.image_sensor import image_sensor
 from dynahoi_lerobot.dataset import episode_column, frame_column, read_episodes
@@ -67,6 +69,12 @@ def test_columns_that_nobody_learns_from_are_left_out(tmp_path: Path):
     }
     assert after - before == {SIGHTINGS_PREFIX + "ego"}
     dynahoi("verify", tmp_path / "encoded")
+
+
+def test_lerobot_s_tools_edit_it(encoded: Path, tmp_path: Path):
+    source = LeRobotDataset("local/encoded", root=encoded)
+    kept = delete_episodes(source, [0], output_dir=tmp_path / "kept")
+    assert kept.meta.total_episodes == source.meta.total_episodes - 1
 
 
 def test_it_is_signed_anew(dataset: Path, encoded: Path):

@@ -1,6 +1,8 @@
 """Configuration of ObAct, ``--policy.type=obact``."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from inspect import signature
 from operator import attrgetter
 from typing import Any, ClassVar
 
@@ -37,8 +39,6 @@ HEADS: dict[str, type[ActionHead] | type[Gr00tHead]] = {"diffusion": ActionHead,
 CONTACT = "contact"
 """The rule of capture under which targets must be gripped; under all others the palm has to come
 near enough."""
-DISPLACEMENTS = "grasp"
-"""The control mode in which actions say how far the palm goes from where it is, not where to."""
 IMAGES = f"{OBS_IMAGES}."
 SIGHTINGS = "observation.sightings."
 """Keys of the images of a view, and of what the frozen eye saw in them."""
@@ -157,6 +157,10 @@ class ObActConfig(PreTrainedConfig):
         allowed = f"one of {', '.join(ENCODERS)}"
         self._require(not self.encoder or self.encoder in ENCODERS, "encoder", allowed)
         self._require(self.head in HEADS, "head", f"one of {', '.join(HEADS)}")
+        for name, kind in (("head", HEADS[self.head]), ("encoder", ENCODERS.get(self.encoder))):
+            given = getattr(self, f"{name}_options").keys()
+            known = _options_of(kind) if kind else list(given)
+            self._require(given <= {*known}, f"{name}_options", f"of {', '.join(known)}")
         for name in ("delayed_share", "virtual_share"):
             self._require(0 <= getattr(self, name) <= 1, name, "0 to 1")
         identity = all(
@@ -275,8 +279,7 @@ class ObActConfig(PreTrainedConfig):
         shared = min(state.shape[0] if state else 0, self.action_feature.shape[0])
         most = min(MOST_RELATIVE, shared)
         if self.relative_dims is None:
-            displaces = self.rules.get("control_mode") == DISPLACEMENTS
-            self.relative_dims = 0 if displaces else most
+            self.relative_dims = most
         allowed = f"0 to {most}: coordinates of a place, which state and action both have"
         self._require(0 <= self.relative_dims <= most, "relative_dims", allowed)
         eyes = {f"{view_of(key)}_{x.shape[-1]}" for key, x in self.image_features.items()}
@@ -309,6 +312,12 @@ class ObActConfig(PreTrainedConfig):
 def view_of(key: str) -> str:
     """Return the view of an image's key: its last part."""
     return key.rsplit(".", maxsplit=1)[-1]
+
+
+def _options_of(kind: Callable[..., Any]) -> list[str]:
+    """Return the names of a constructor's arguments that have defaults."""
+    parameters = signature(kind).parameters
+    return [name for name, p in parameters.items() if p.default is not p.empty]
 
 
 def _as_image(entry: tuple[str, PolicyFeature]) -> tuple[str, PolicyFeature]:

@@ -72,10 +72,11 @@ def adopt(config: ObActConfig, meta: Any) -> TargetTable | None:
     config.rules = rules_of(meta)
     if not config.encoder and meta.robot_type != ROBOT_TYPE:
         config.encoder = "conv"  # the eyes that ship have learned from images of that robot alone
+    if config.relative_dims is None and _displaces(meta):
+        config.relative_dims = 0
     config.validate_features()
     forecast_before = bool(config.embodiment.capture)
     config.embodiment = embodiment_of(meta, config.cameras)
-    _check_encoder(config, meta)
     if config.pretrained_path and not forecast_before:
         # without a forecast the network has other layers
         config.embodiment = replace(config.embodiment, capture="")
@@ -84,6 +85,7 @@ def adopt(config: ObActConfig, meta: Any) -> TargetTable | None:
             f"{config.pretrained_path} learned to forecast the target, but from {meta.repo_id} it "
             f"would learn actions alone, by another network: {_why_no_forecast(config, meta)}"
         )
+    _check_encoder(config, meta)
     if not config.forecasts:
         config.embodiment = replace(config.embodiment, capture="")
         _warn(config, meta, "it learns actions alone, without the target's path")
@@ -114,6 +116,14 @@ def _warn(config: ObActConfig, meta: Any, reason: str) -> None:
     """Say why the closed loop is off for a dataset that was encoded for it."""
     if is_encoded(config, meta):
         logging.warning("the closed loop is off for %s: %s", meta.repo_id, reason)
+
+
+def _displaces(meta: Any) -> bool:
+    """Whether actions say how far the palm goes from where it is, not where to: DynaHOI's hand then
+    has other actions than states.
+    """
+    shapes = [meta.features.get(key, {}).get("shape") for key in (ACTION, OBS_STATE)]
+    return meta.robot_type == ROBOT_TYPE and shapes[0] != shapes[1]
 
 
 def is_encoded(config: ObActConfig, meta: Any) -> bool:
@@ -251,16 +261,15 @@ def _calibration(view: str, constants: dict[str, list[Any]]) -> list[float]:
 def _learnable_capture(meta: Any, constants: dict[str, list[Any]]) -> str:
     """Return the rule of capture; empty if nothing beside the recorded actions can be learned."""
     captures = columns_of(meta, EPISODES, {CAPTURE}).get(CAPTURE)
-    if captures and not constants:
+    if meta.robot_type == ROBOT_TYPE and not constants:
         logging.warning(
             "%s is gone, which LeRobot's tools drop when they edit a dataset: the closed loop is "
             "off, and only actions are learned",
             meta.root / CONSTANTS,
         )
-    # with the palm's displacement as action, the teacher's answers would be of another kind
-    absolute = meta.features[ACTION]["shape"] == meta.features.get(OBS_STATE, {}).get("shape")
     known = TARGET_PATH in constants and (meta.root / TRUTH).is_dir()
-    if not (captures and known and absolute):
+    # of displacements, the teacher's answers would be of another kind
+    if not (captures and known) or _displaces(meta):
         return ""
     return captures[0] or ""
 
@@ -319,17 +328,20 @@ class TargetTable:
             track=track,
         )
 
-    def window(self, episode: Tensor, newest: Tensor, offsets: list[int]) -> tuple[Targets, Tensor]:
+    def window(
+        self, episode: Tensor, newest: Tensor, offsets: list[int], delay_frames: int = 0
+    ) -> tuple[Targets, Tensor]:
         """Return targets of episodes ``(B,)`` in windows of the frames at ``offsets`` from the
         ``newest`` ones ``(B,)``, and the frames in which the hands may move, both counted from the
         first.
 
-        Their paths go on beyond a window, as far as a teacher looks. A target waits before its
+        Their paths go on beyond a window, as far as a teacher looks for a command of its last frame
+        that takes effect ``delay_frames`` later. A target waits before its
         recording, and where its path is no longer known. One that the hand grips is where it was
         recorded.
         """
         first = newest + offsets[0]
-        frame = first[:, None] + torch.arange(len(offsets) + LONGEST_FRAMES)
+        frame = first[:, None] + torch.arange(len(offsets) + delay_frames + LONGEST_FRAMES)
         catch = self.catch[episode]
         length = self.length[episode]
         inside = torch.minimum(frame.clamp_min(0), length[:, None] - 1)

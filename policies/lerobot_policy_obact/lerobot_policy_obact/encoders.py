@@ -132,9 +132,18 @@ class Eye(Encoder):
         self.read = perceptron(READ_WIDTH + 3 * channels + 2, READ_WIDTH, N_SIGHTING + embedding)
 
     def load_pretrained(self) -> None:
-        """Load ``weights``."""
-        if self.weights:
-            self.load_state_dict(load_file(SHIPPED.get(self.weights, self.weights)))
+        """Load ``weights``.
+
+        Raises:
+            ValueError: if there is no such file, and no such eye ships.
+        """
+        if not self.weights:
+            return
+        path = Path(SHIPPED.get(self.weights, self.weights))
+        if not path.is_file():
+            known = ", ".join(SHIPPED)
+            raise ValueError(f"weights is {self.weights!r}, but must be a file or one of {known}.")
+        self.load_state_dict(load_file(path))
 
     def look(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """See `Encoder.look`."""

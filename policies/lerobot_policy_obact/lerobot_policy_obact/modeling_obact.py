@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from .forecaster import Forecast
     from .windows import Window
 
+MOST_BRIGHT = 1.01  # of images in [0, 1], after a resize that overshoots
 TIMESTAMP = "timestamp"
 """Key of the time at which a frame was seen [s]."""
 
@@ -126,20 +127,22 @@ class ObActPolicy(PreTrainedPolicy):
         from .windows import Window
 
         config = self.config
-        actions = batch[ACTION]
+        # LeRobot delivers vectors of one entry as scalars
+        actions = batch[ACTION].reshape(*batch[ACTION].shape[:2], -1)
         n_windows, horizon = actions.shape[:2]
         device = actions.device
         frames, recorded = self._frames(batch)
         unpadded = torch.zeros(n_windows, horizon, dtype=torch.bool, device=device)
         weight = (~batch.get(f"{ACTION}_is_pad", unpadded)).float()
         begin = torch.zeros(n_windows, dtype=torch.long, device=device)
-        window = Window(frames, recorded, actions, weight, begin, self._drawn_delay())
+        delay_frames = self._drawn_delay()
+        window = Window(frames, recorded, actions, weight, begin, delay_frames)
         if self.targets is None:
             return window
         episode = batch["episode_index"].flatten().cpu()
         newest = batch["index"].flatten().cpu() - self.targets.first_index[episode]
         offsets = config.observation_delta_indices
-        targets, begin = self.targets.window(episode, newest, offsets)
+        targets, begin = self.targets.window(episode, newest, offsets, delay_frames)
         return replace(window, begin=begin.to(device), targets=targets.to(device))
 
     def _drawn_delay(self) -> int:
@@ -266,6 +269,8 @@ class ObActPolicy(PreTrainedPolicy):
         """
         config = self.config
         live = self.real_time or "prev_chunk_left_over" in kwargs
+        if inference_delay < 0:
+            raise ValueError(f"inference_delay is {inference_delay}, but must be 0 or more.")
         self._note(batch, config.n_action_steps / config.embodiment.fps, live=live)
         return self._chunk(inference_delay, config.horizon)
 
@@ -310,16 +315,21 @@ class ObActPolicy(PreTrainedPolicy):
     def _observed(self, batch: Batch) -> Batch:
         """Return what a batch holds of a frame: state, images, and when it was seen, if it says."""
         keys = (*self.config.state_keys, *self.config.cameras, TIMESTAMP)
-        return {key: batch[key] for key in keys if key in batch}
+        return {key: torch.as_tensor(batch[key]) for key in keys if key in batch}
 
     def _see(self, batch: Batch, time_s: float) -> None:
         """Encode the newest frame and keep it; it was seen at ``time_s`` if the batch does not say
         when.
 
         A batch has one clock: the ``timestamp`` of environment 0 is taken for all of them.
+
+        Raises:
+            ValueError: if an input is missing or has another shape or range than in training, if
+                the number of environments has changed, or if time goes back.
         """
         model = self._actor
         cameras = self.config.cameras
+        self._check_inputs(batch)
         before = self._shown if self._shown and self._history.ticks else batch
         known = len(before[cameras[0]])
         given = len(batch[cameras[0]])
@@ -331,9 +341,34 @@ class ObActPolicy(PreTrainedPolicy):
         sightings = model.encode_images(batch, before)
         state = model.state_of(batch, sightings.shape[:1])
         if TIMESTAMP in batch:
-            time_s = float(batch[TIMESTAMP].flatten()[0])
+            time_s = float(torch.as_tensor(batch[TIMESTAMP]).flatten()[0])
         self._history.add(sightings, state, time_s)
         self._shown = {key: x.clone() for key, x in self._observed(batch).items()}
+
+    def _check_inputs(self, batch: Batch) -> None:
+        """Refuse what the network would take for something else."""
+        config = self.config
+        features = config.input_features or {}
+        first = config.cameras[0]
+        for key in (*config.cameras, *config.state_keys):
+            x = batch.get(key)
+            shape = tuple(features[key].shape)
+            if not isinstance(x, Tensor) or x.shape[1:] != shape:
+                found = f"of shape {tuple(x.shape)}" if isinstance(x, Tensor) else type(x)
+                wanted = ", ".join(map(str, ("B", *shape)))
+                raise ValueError(
+                    f"{key} is {'missing' if x is None else found}, but must be a tensor of shape "
+                    f"({wanted})."
+                )
+            if len(x) != len(batch[first]):
+                raise ValueError(
+                    f"{key} is of {len(x)} environments, but must be of {len(batch[first])}, as "
+                    f"{first} is."
+                )
+            if key in config.cameras and not (x.is_floating_point() and (x <= MOST_BRIGHT).all()):
+                raise ValueError(
+                    f"{key} is {x.dtype} up to {x.max():g}, but must be floating point in [0, 1]."
+                )
 
     def _chunk(self, inference_delay: int, n_actions: int) -> Tensor:
         """Return the first actions of the chunk for the newest frame, ``(B, n_actions, A)``, that

@@ -93,9 +93,10 @@ class ObActModel(nn.Module):
 
     def state_of(self, batch: Batch, shape: tuple[int, ...]) -> Tensor:
         """Return the vector observations of a batch of some ``shape``, ``(*shape, S)``, in the type
-        of the weights; S is 0 if there are none.
+        of the weights; S is 0 if there are none. LeRobot delivers those of one entry as scalars.
         """
-        vectors = [batch[key].to(self.action_mean) for key in self.config.state_keys]
+        keys = self.config.state_keys
+        vectors = [batch[key].to(self.action_mean).reshape(*shape, -1) for key in keys]
         return torch.cat([self.action_mean.new_zeros(*shape, 0), *vectors], dim=-1)
 
     def encode_images(self, images: Batch, before: Batch) -> Tensor:

@@ -76,7 +76,7 @@ def test_eyes_that_ship_load_whole_and_see_nothing_in_a_black_image(name: str):
 
 
 def test_weights_that_are_not_there_are_named(tmp_path: Path):
-    with pytest.raises(FileNotFoundError, match=r"nothing\.safetensors"):
+    with pytest.raises(ValueError, match=r"nothing\.safetensors.*ego_96, side_96"):
         Eye(weights=str(tmp_path / "nothing.safetensors")).load_pretrained()
 
 

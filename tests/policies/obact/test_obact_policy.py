@@ -16,7 +16,7 @@ import torch
 from draccus.utils import ParsingError
 from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
-from lerobot.datasets.dataset_tools import merge_datasets, modify_features
+from lerobot.datasets.dataset_tools import delete_episodes, merge_datasets, modify_features
 from lerobot.datasets.factory import resolve_delta_timestamps
 from lerobot.policies.rtc import RTCConfig
 from lerobot.rollout.inference.rtc import supports_rtc_inference
@@ -26,6 +26,7 @@ from lerobot_policy_obact.commands import CommandBuffer
 from lerobot_policy_obact.configuration_obact import Embodiment
 from lerobot_policy_obact.encoders import SHIPPED
 from lerobot_policy_obact.frames import stepped
+from lerobot_policy_obact.teacher import LONGEST_FRAMES
 from safetensors.torch import load_file
 from torch.utils.data import DataLoader
 
@@ -59,18 +60,27 @@ def push_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A dataset like PushT's: one camera, two coordinates, no hand and no target. Its image has the
     name and the size of those of one of our cameras.
     """
-    root = tmp_path_factory.mktemp("push") / "data"
+    sizes = {"observation.state": 2, "action": 2}
+    return pushes(tmp_path_factory.mktemp("push") / "data", sizes)
+
+
+def pushes(root: Path, sizes: dict[str, int]) -> Path:
+    """A dataset with an image and vectors that wander, of these sizes; actions are the next
+    states.
+    """
     image = {"dtype": "image", "shape": (SIZE, SIZE, 3), "names": ["height", "width", "channel"]}
-    vector = {"dtype": "float32", "shape": (2,), "names": None}
-    features = {CAMERA: image, "observation.state": vector, "action": vector}
+    vectors = {
+        key: {"dtype": "float32", "shape": (size,), "names": None} for key, size in sizes.items()
+    }
+    features = {CAMERA: image} | vectors
     dataset = LeRobotDataset.create("local/tiny", FPS, features, root=root, use_videos=False)
     rng = np.random.default_rng(0)
     for _ in range(N_EPISODES):
-        walk = rng.normal(size=(N_FRAMES + 1, 2)).cumsum(0).astype(np.float32)
+        walk = rng.normal(size=(N_FRAMES + 1, max(sizes.values()))).cumsum(0).astype(np.float32)
         for here, there in pairwise(walk):
-            frame = {"observation.state": here, "action": there, "task": "push"}
+            frame = {key: (there if key == "action" else here)[:n] for key, n in sizes.items()}
             frame[CAMERA] = rng.integers(0, 256, (SIZE, SIZE, 3), dtype=np.uint8)
-            dataset.add_frame(frame)
+            dataset.add_frame(frame | {"task": "push"})
         dataset.save_episode()
     dataset.finalize()
     return root
@@ -300,6 +310,30 @@ def test_without_the_targets_path_the_closed_loop_is_off_and_says_so(hand_root, 
     assert set(policy(batch_of(policy, root))[1]) == {"action"}
 
 
+def test_the_last_frame_of_a_window_is_taught_for_when_its_command_takes_effect(
+    hand_root: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Without frames to come, with inference as late as it may be, on a target's long path."""
+    policy = learner(hand_root, n_obs_steps=1, n_future_steps=0)
+    longest = int(policy.targets.length.argmax())
+    assert policy.targets.length[longest] > LONGEST_FRAMES + policy.config.horizon
+    monkeypatch.setattr(policy, "_drawn_delay", lambda: policy.config.horizon - 1)
+    batch = batch_of(policy, hand_root)
+    batch["episode_index"] = torch.full_like(batch["index"], longest)
+    batch["index"] = policy.targets.first_index[batch["episode_index"]]
+    assert policy(batch)[0].isfinite()
+
+
+@pytest.mark.parametrize("name", ["action", "observation.state", "observation.gripper"])
+def test_a_vector_may_have_one_entry(name: str, tmp_path: Path):
+    """LeRobot delivers it as a scalar."""
+    root = pushes(tmp_path / "data", {"observation.state": 2, "action": 2} | {name: 1})
+    bare = {"device": "cpu", "push_to_hub": False}
+    checkpoint = lerobot_train(root, tmp_path / "out", NEW | bare, **CHANGED)
+    policy = ObActPolicy.from_pretrained(checkpoint)
+    assert policy.select_action(step(policy)).isfinite().all()
+
+
 def test_episodes_count_alike_however_many_windows_show_them(hand_root):
     policy = learner(hand_root, virtual_share=0.0, n_hands=2)
     targets = policy.targets
@@ -347,12 +381,20 @@ def test_sightings_without_a_state_teach_actions(hand_root: Path, tmp_path: Path
     assert policy.select_action(step(policy)).isfinite().all()
 
 
-def test_actions_that_are_displacements_do_not_count_from_the_palm(tmp_path: Path):
+@pytest.mark.parametrize("edited", [False, True], ids=["whole", "edited by LeRobot's tools"])
+def test_actions_that_are_displacements_do_not_count_from_the_palm(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, *, edited: bool
+):
     root = generated(
         tmp_path / "grasp", "--image-size", "96", "--control-mode", "grasp", episodes=2
     )
+    if edited:
+        root = tmp_path / "one"
+        source = LeRobotDataset("local/tiny", root=tmp_path / "grasp")
+        delete_episodes(source, [0], output_dir=root)
     actions = {"action": features_of(root)["action"]}
     policy = learner(root, n_future_steps=0, output_features=actions)
+    assert ("privileged_episodes is gone" in caplog.text) == edited
     assert policy.config.relative_dims == 0
     assert policy(batch_of(policy, root))[0].isfinite()
 
@@ -472,6 +514,36 @@ def test_a_frame_with_a_new_timestamp_counts_even_if_it_looks_like_the_one_befor
     for i in range(4):
         policy.select_action(at(0.05 * i, step(policy)))
     assert list(policy._history.ticks) == [0, 1, 2, 3]
+
+
+EGO = "observation.images.ego"
+
+
+@pytest.mark.parametrize(
+    ("key", "change", "said"),
+    [
+        (EGO, lambda x: 255 * x, r"float32 up to 25\d.*, but must be .* \[0, 1\]"),
+        (EGO, lambda x: (255 * x).byte(), r"uint8 up to 25\d, but must be"),
+        (EGO, lambda x: x.movedim(1, -1), r"\(2, 32, 32, 3\), .* \(B, 3, 32, 32\)"),
+        (EGO, lambda x: x[:1], r"observation\.state is of 2 environments, .* 1, as"),
+        (EGO, lambda x: x.numpy(), r"numpy.ndarray'>, but must be a tensor"),
+        ("observation.state", lambda x: None, r"missing, but must be a tensor of shape \(B, 18\)"),
+        ("observation.state", lambda x: x[:, :5], r"\(2, 5\), but must be .* \(B, 18\)"),
+    ],
+)
+def test_an_input_of_another_kind_than_in_training_is_refused(key: str, change, said: str):
+    policy = varied()
+    batch = step(policy)
+    for act in (policy.select_action, policy.predict_action_chunk, policy.observe):
+        with pytest.raises(ValueError, match=said):
+            act(batch | {key: change(batch[key])})
+    assert not policy._history.ticks, "nothing was noted"
+
+
+def test_a_chunk_cannot_be_ready_before_it_is_asked_for():
+    policy = varied()
+    with pytest.raises(ValueError, match="inference_delay is -1, but must be 0 or more"):
+        policy.predict_action_chunk(step(policy), inference_delay=-1)
 
 
 def test_time_that_goes_back_asks_for_a_reset():
@@ -725,6 +797,7 @@ def test_another_number_of_environments_needs_a_reset():
     [
         ("encoder", "camera", "eye, conv"),
         ("head", "arm", "diffusion, gr00t"),
+        ("head_options", {"depth": 3}, "of width, n_steps, n_draws, closing_quantile"),
         ("n_obs_steps", 0, "1 or more"),
         ("relative_dims", 4, "0 to 3"),
         ("n_action_steps", 9, "1 to 4"),

@@ -34,7 +34,7 @@ def test_acting_takes_one_thread(method: str, actor: Path, monkeypatch) -> None:
     getattr(policy, method)(observation(policy.config))
     assert used == [1]
     assert torch.get_num_threads() == 4
-    with pytest.raises(KeyError):
+    with pytest.raises(ValueError, match="missing"):
         getattr(policy, method)({})
     assert torch.get_num_threads() == 4, "also after an error"
 
