@@ -4,8 +4,9 @@
     denoiser  the chunk's deviation from that mean, in units of that scale, by diffusion
 
 Time runs from t = 0, noise, to t = 1, data. The denoiser learns from signal and noise mixed as sin
-and cos of t pi / 2 (variance preserving), and predicts the signal. Divided by the sum of the two,
-the mixture is on the straight path of flow matching, on which Euler steps are those of DDIM.
+and cos of t pi / 2 (variance preserving), and predicts the signal. Divided by the sum of these two
+coefficients, the mixture is on the straight path of flow matching, on which Euler steps are those
+of DDIM.
 """
 
 import numpy as np

@@ -95,8 +95,11 @@ class ObActModel(nn.Module):
         """Return the vector observations of a batch of some ``shape``, ``(*shape, S)``, in the type
         of the weights; S is 0 if there are none. LeRobot delivers those of one entry as scalars.
         """
-        keys = self.config.state_keys
-        vectors = [batch[key].to(self.action_mean).reshape(*shape, -1) for key in keys]
+        features = self.config.input_features or {}
+        vectors = [
+            batch[key].to(self.action_mean).reshape(*shape, *features[key].shape)
+            for key in self.config.state_keys
+        ]
         return torch.cat([self.action_mean.new_zeros(*shape, 0), *vectors], dim=-1)
 
     def encode_images(self, images: Batch, before: Batch) -> Tensor:
