@@ -179,8 +179,8 @@ def _eye_states(store: Store, sensor: type[ImageSensor], sightings: np.ndarray) 
 
 
 def _forget(root: Path, keys: Sequence[str]) -> None:
-    """Remove what the episode table says of columns that are gone, which keeps LeRobot's tools from
-    editing the dataset.
+    """Remove from the episode table the statistics and places in videos of columns that are gone:
+    LeRobot's tools fail to edit a dataset that still has them.
     """
     prefixes = tuple(f"{kind}/{key}/" for kind in ("stats", "videos") for key in keys)
     for path in sorted((root / "meta" / "episodes").rglob("*.parquet")):

@@ -204,10 +204,19 @@ class ObActConfig(PreTrainedConfig):
     @property
     def acts_with_shipped_eyes(self) -> bool:
         """Whether each camera's images are encoded by the eye that ships for its view."""
-        weights = str(self.encoder_options.get("weights"))
-        views = map(view_of, self.cameras)
-        named = (weights.replace("{view}", v) == SHIPPED_WEIGHTS.format(view=v) for v in views)
+        named = (
+            self.encoder_options_of(key).get("weights") == SHIPPED_WEIGHTS.format(view=view_of(key))
+            for key in self.cameras
+        )
         return self.encoder == "eye" and all(named)
+
+    def encoder_options_of(self, key: str) -> dict[str, Any]:
+        """Return the encoder's options for an image's key: its view replaces ``{view}``."""
+        view = view_of(key)
+        return {
+            name: x.replace("{view}", view) if isinstance(x, str) else x
+            for name, x in self.encoder_options.items()
+        }
 
     @property
     def sees_motion(self) -> bool:

@@ -69,7 +69,8 @@ def adopt(config: ObActConfig, meta: Any) -> TargetTable | None:
     Raises:
         ValueError: if the policy cannot learn from the dataset as it is configured.
     """
-    config.rules = rules_of(meta)
+    provenance = provenance_of(meta)
+    config.rules = _rules_in(provenance)
     if not config.encoder and meta.robot_type != ROBOT_TYPE:
         config.encoder = "conv"  # the eyes that ship have learned from images of that robot alone
     if config.relative_dims is None and _displaces(meta):
@@ -85,7 +86,7 @@ def adopt(config: ObActConfig, meta: Any) -> TargetTable | None:
             f"{config.pretrained_path} learned to forecast the target, but from {meta.repo_id} it "
             f"would learn actions alone, by another network: {_why_no_forecast(config, meta)}"
         )
-    _check_encoder(config, meta)
+    _check_encoder(config, meta, provenance)
     if not config.forecasts:
         config.embodiment = replace(config.embodiment, capture="")
         _warn(config, meta, "it learns actions alone, without the target's path")
@@ -119,8 +120,8 @@ def _warn(config: ObActConfig, meta: Any, reason: str) -> None:
 
 
 def _displaces(meta: Any) -> bool:
-    """Whether actions say how far the palm goes from where it is, not where to: DynaHOI's hand then
-    has other actions than states.
+    """Whether actions say how far the palm goes from where it is, not where to: those of DynaHOI's
+    hand then have another shape than its state.
     """
     shapes = [meta.features.get(key, {}).get("shape") for key in (ACTION, OBS_STATE)]
     return meta.robot_type == ROBOT_TYPE and shapes[0] != shapes[1]
@@ -131,7 +132,7 @@ def is_encoded(config: ObActConfig, meta: Any) -> bool:
     return meta.features.keys() >= {*config.sighting_keys}
 
 
-def _check_encoder(config: ObActConfig, meta: Any) -> None:
+def _check_encoder(config: ObActConfig, meta: Any, provenance: dict[str, Any]) -> None:
     """Refuse options that the encoder would ignore, and data that it could not read."""
     encoded = is_encoded(config, meta)
     if config.n_future_steps and not encoded:
@@ -146,7 +147,7 @@ def _check_encoder(config: ObActConfig, meta: Any) -> None:
             f"embedding reads, but encoder is {config.encoder!r}, freeze_encoder "
             f"{config.freeze_encoder} and encoder_options {config.encoder_options}"
         )
-    sensor = (provenance_of(meta).get("encoded") or {}).get("sensor", SHIPPED_SENSOR)
+    sensor = (provenance.get("encoded") or {}).get("sensor", SHIPPED_SENSOR)
     if encoded and (sensor == SHIPPED_SENSOR) != config.acts_with_shipped_eyes:
         raise ValueError(
             f"{meta.repo_id} holds what the sensor {sensor!r} saw, but encoder_options is "
@@ -188,11 +189,9 @@ def columns_of(meta: Any, folder: str, wanted: Iterable[str]) -> dict[str, list[
     return {name: table[name].to_pylist() for name in names}
 
 
-def rules_of(meta: Any) -> dict[str, Any]:
-    """Return how the episodes of a dataset were played, as its manifest says; nothing if it has
-    none; raises what `provenance_of` does.
-    """
-    told = provenance_of(meta)
+def _rules_in(provenance: dict[str, Any]) -> dict[str, Any]:
+    """Return how the episodes of a dataset were played; nothing if that is not known."""
+    told = provenance
     for key in ("recording", "recipe", "rules"):
         told = told.get(key) or {}
     return told
@@ -335,8 +334,8 @@ class TargetTable:
         ``newest`` ones ``(B,)``, and the frames in which the hands may move, both counted from the
         first.
 
-        Their paths go on beyond a window, as far as a teacher looks for a command of its last frame
-        that takes effect ``delay_frames`` later. A target waits before its
+        Their paths go on beyond a window, as far as a teacher looks from ``delay_frames`` after its
+        last frame, when a command that is decided there takes effect. A target waits before its
         recording, and where its path is no longer known. One that the hand grips is where it was
         recorded.
         """

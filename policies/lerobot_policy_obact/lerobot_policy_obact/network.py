@@ -15,7 +15,7 @@ from einops import einsum, rearrange, repeat
 from lerobot.utils.constants import ACTION
 from torch import Tensor, nn
 
-from .configuration_obact import HEADS, ObActConfig, view_of
+from .configuration_obact import HEADS, ObActConfig
 from .encoders import ENCODERS, Encoder
 from .forecaster import FORECAST_FRAMES, MOST_UNITS, Forecast, Forecaster, GrowingUnit
 from .frames import Frames, palm_of, stepped
@@ -49,8 +49,7 @@ class ObActModel(nn.Module):
         n_actions = config.action_feature.shape[0]
         n_state = sum(config.input_features[key].shape[0] for key in config.state_keys)
         encoders = [
-            ENCODERS[config.encoder](**_options(config.encoder_options, key))
-            for key in config.cameras
+            ENCODERS[config.encoder](**config.encoder_options_of(key)) for key in config.cameras
         ]
         self.encoders = nn.ModuleList(encoders).requires_grad_(not config.freeze_encoder)
         self.forecaster = Forecaster(config, sum(encoder.embedding for encoder in encoders))
@@ -213,11 +212,3 @@ def rolled_out(
         moved = torch.cat([stepped(palm, palm_of(action), step_m), rest[:, 3:]], dim=-1)
         states.append(moved if begin is None else torch.where((begin <= r)[:, None], moved, state))
     return torch.stack(states, dim=1)
-
-
-def _options(options: dict[str, Any], camera: str) -> dict[str, Any]:
-    """Return the encoder's options for an image key, whose view replaces ``{view}`` in texts."""
-    view = view_of(camera)
-    return {
-        name: x.replace("{view}", view) if isinstance(x, str) else x for name, x in options.items()
-    }

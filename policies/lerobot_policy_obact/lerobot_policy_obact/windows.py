@@ -121,8 +121,7 @@ class VirtualHands:
 
 
 class RecordedErrors:
-    """The errors that the cameras made in the recorded frames of windows, in what other palms would
-    have seen.
+    """Takes errors that cameras made in recorded frames to what other palms would have seen.
 
     Args:
         window: as recorded.
