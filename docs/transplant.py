@@ -13,7 +13,7 @@ import torch
 from lerobot.datasets import LeRobotDataset, LeRobotDatasetMetadata
 from lerobot.datasets.factory import resolve_delta_timestamps
 from lerobot_policy_obact import ObActConfig, ObActPolicy
-from lerobot_policy_obact.windows import Window
+from lerobot_policy_obact.windows import VirtualHands, Window
 from matplotlib.axes import Axes
 from torch.utils.data import default_collate
 
@@ -40,13 +40,13 @@ def windows(root: Path) -> tuple[ObActPolicy, Window, Window]:
     policy = ObActPolicy.from_pretrained(CHECKPOINT, config=config, dataset_meta=meta)
     times = resolve_delta_timestamps(config, meta)
     dataset = LeRobotDataset("local/shown", root=root, delta_timestamps=times)
-    assert policy.targets is not None
-    index = int(policy.targets.first_index[EPISODE]) + CURRENT
-    window = policy._window(default_collate([dataset[index]]))
+    known = policy.targets
+    assert known is not None
+    batch = default_collate([dataset[int(known.first_index[EPISODE]) + CURRENT]])
+    window = Window.of(batch, policy.model, known, delay_frames=0)
     torch.manual_seed(0)
-    config.n_hands = HANDS
-    config.virtual_share = 1.0
-    return policy, window, policy.train()._with_hands(window)
+    virtual = VirtualHands(known.teacher, policy.model).drawn(window.repeated(HANDS), 1.0)
+    return policy, window, virtual
 
 
 def until_catch(window: Window, hand: int) -> int:

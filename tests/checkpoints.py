@@ -10,7 +10,8 @@ from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature, PreTr
 from lerobot.policies.act.configuration_act import ACTConfig
 from lerobot.policies.diffusion.configuration_diffusion import DiffusionConfig
 from lerobot.policies.factory import get_policy_class, make_pre_post_processors
-from lerobot_policy_obact import ObActConfig
+from lerobot_policy_obact import ObActConfig, ObActPolicy
+from lerobot_policy_obact.windows import Window
 
 SHIPPED = Path(__file__).parents[1] / "checkpoints" / "obact_standard"
 SMALL_GR00T = {
@@ -49,6 +50,12 @@ FEATURES = {
     "device": "cpu",
     "push_to_hub": False,
 }
+
+
+def window_of(policy: ObActPolicy, batch: dict[str, torch.Tensor]) -> Window:
+    """The windows that a policy learns from, while inference takes no time."""
+    delay_frames = policy.config.embodiment.delay_frames
+    return Window.of(batch, policy.model, policy.targets, delay_frames)
 
 
 def observation(config: PreTrainedConfig, n: int = 1, seed: int = 0) -> dict[str, torch.Tensor]:

@@ -9,12 +9,10 @@ from __future__ import annotations
 import time
 from collections import deque
 from copy import deepcopy
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import torch
-from einops import rearrange
 from lerobot.policies.pretrained import PreTrainedPolicy
 from lerobot.utils.constants import ACTION
 from torch import Tensor
@@ -30,7 +28,6 @@ from .threads import on_one_thread
 if TYPE_CHECKING:
     from .dataset import TargetTable
     from .forecaster import Forecast
-    from .windows import Window
 
 MOST_BRIGHT = 1.01  # of images in [0, 1], after a resize that overshoots
 TIMESTAMP = "timestamp"
@@ -101,49 +98,27 @@ class ObActPolicy(PreTrainedPolicy):
         ``reduction`` is "mean" for a scalar, "none" for one loss per sample, ``(B,)``.
         """
         from .losses import window_losses
-
-        window = self._window(batch)
-        teacher = None
-        if self.targets is not None:
-            teacher = self.targets.teacher
-            window = self._with_hands(window)
-        losses = window_losses(self.model, window, teacher)
-        logged = {name: float(loss.detach().mean()) for name, loss in losses.items()}
-        weights = {
-            "forecast": self.config.forecast_weight,
-            "closed_loop": self.config.closed_loop_weight,
-        }
-        weighted = [weights.get(name, 1.0) * loss for name, loss in losses.items()]
-        total = torch.stack(weighted).sum(0)
-        if self.targets is not None:
-            weight = self.targets.weight[batch["episode_index"].flatten().cpu()].to(total)
-            total = total * weight.repeat_interleave(self.config.n_hands)
-        if reduction == "none":
-            return rearrange(total, "(b n) -> b n", b=len(batch[ACTION])).mean(1), logged
-        return total.mean(), logged
-
-    def _window(self, batch: Batch) -> Window:
-        """Return the windows of a batch, with the targets in them, if the dataset has these."""
-        from .windows import Window
+        from .windows import VirtualHands, Window
 
         config = self.config
-        # LeRobot delivers vectors of one entry as scalars
-        actions = batch[ACTION].reshape(*batch[ACTION].shape[:2], -1)
-        n_windows, horizon = actions.shape[:2]
-        device = actions.device
-        frames, recorded = self._frames(batch)
-        unpadded = torch.zeros(n_windows, horizon, dtype=torch.bool, device=device)
-        weight = (~batch.get(f"{ACTION}_is_pad", unpadded)).float()
-        begin = torch.zeros(n_windows, dtype=torch.long, device=device)
-        delay_frames = self._drawn_delay()
-        window = Window(frames, recorded, actions, weight, begin, delay_frames)
-        if self.targets is None:
-            return window
-        episode = batch["episode_index"].flatten().cpu()
-        newest = batch["index"].flatten().cpu() - self.targets.first_index[episode]
-        offsets = config.observation_delta_indices
-        targets, begin = self.targets.window(episode, newest, offsets, delay_frames)
-        return replace(window, begin=begin.to(device), targets=targets.to(device))
+        known = self.targets
+        window = Window.of(batch, self.model, known, self._drawn_delay())
+        if known is not None:
+            hands = VirtualHands(known.teacher, self.model)
+            virtual_share = config.virtual_share if self.training else 0.0
+            window = hands.drawn(window.repeated(config.n_hands), virtual_share)
+        losses = window_losses(self.model, window, known and known.teacher)
+        logged = {name: float(loss.detach().mean()) for name, loss in losses.items()}
+        weights = {
+            "forecast": config.forecast_weight,
+            "closed_loop": config.closed_loop_weight,
+        }
+        weighted = [weights.get(name, 1.0) * loss for name, loss in losses.items()]
+        by_sample = torch.stack(weighted).sum(0).unflatten(0, (len(batch[ACTION]), -1)).mean(1)
+        if known is not None:
+            weight = known.weight[batch["episode_index"].flatten().cpu()]
+            by_sample = by_sample * weight.to(by_sample)
+        return (by_sample if reduction == "none" else by_sample.mean()), logged
 
     def _drawn_delay(self) -> int:
         """Return after how many frames commands take effect in this step of the training: the
@@ -156,34 +131,6 @@ class ObActPolicy(PreTrainedPolicy):
         if draws and torch.rand(()) < config.delayed_share:
             delay_frames += int(torch.randint(1, config.horizon, ()))
         return delay_frames
-
-    def _with_hands(self, window: Window) -> Window:
-        """Return windows with several hands for each, of which the policy leads some."""
-        from .windows import VirtualHands
-
-        assert self.targets is not None
-        hands = VirtualHands(self.targets.teacher, self.model)
-        virtual_share = self.config.virtual_share if self.training else 0.0
-        return hands.drawn(window.repeated(self.config.n_hands), virtual_share)
-
-    def _frames(self, batch: Batch) -> tuple[Frames, Tensor]:
-        """Return the frames of a batch, and which of them were recorded, ``(B, L)``."""
-        config = self.config
-        columns = config.sighting_keys
-        if columns[0] in batch:
-            observed = columns[0]
-            sightings = torch.stack([batch[key] for key in columns], dim=2)
-        else:
-            observed = config.cameras[0]
-            images = {key: batch[key] for key in config.cameras}
-            before = {key: torch.cat([x[:, :1], x[:, :-1]], dim=1) for key, x in images.items()}
-            sightings = self.model.encode_images(images, before)
-        offsets = torch.tensor(config.observation_delta_indices, device=sightings.device)
-        all_frames = torch.zeros(sightings.shape[:2], dtype=torch.bool, device=sightings.device)
-        recorded = ~batch.get(f"{observed}_is_pad", all_frames)
-        hidden = ~recorded & (offsets <= 0)
-        state = self.model.state_of(batch, sightings.shape[:2])
-        return Frames(sightings, state, offsets / config.embodiment.fps, hidden), recorded
 
     def get_optim_params(self) -> list[dict[str, Any]]:
         """Return parameter groups: weight decay for matrices and tables, none for vectors."""

@@ -17,11 +17,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import torch
+from lerobot.utils.constants import ACTION
 from torch import Tensor
 
 from .camera import Pinhole
+from .dataset import TargetTable
 from .frames import Frames, Record, gather_frames
-from .network import ObActModel, rolled_out
+from .network import Batch, ObActModel, rolled_out
 from .teacher import Targets, Teacher
 
 UNITS = (0.25, 0.25, 0.3)
@@ -50,10 +52,53 @@ class Window(Record):
     delay_frames: int  # from a frame until the command that is decided in it takes effect
     targets: Targets | None = None  # None if nothing is known of them
 
+    @classmethod
+    def of(
+        cls, batch: Batch, model: ObActModel, known: TargetTable | None, delay_frames: int
+    ) -> Window:
+        """Return the windows of a preprocessed batch, with the targets in them, if these are known
+        of the dataset.
+        """
+        # LeRobot delivers vectors of one entry as scalars
+        actions = batch[ACTION].reshape(*batch[ACTION].shape[:2], -1)
+        frames, recorded = _frames(batch, model)
+        unpadded = torch.zeros(actions.shape[:2], dtype=torch.bool, device=actions.device)
+        weight = (~batch.get(f"{ACTION}_is_pad", unpadded)).float()
+        begin = torch.zeros(len(actions), dtype=torch.long, device=actions.device)
+        window = cls(frames, recorded, actions, weight, begin, delay_frames)
+        if known is None:
+            return window
+        episode = batch["episode_index"].flatten().cpu()
+        newest = batch["index"].flatten().cpu() - known.first_index[episode]
+        offsets = model.config.observation_delta_indices
+        targets, begin = known.window(episode, newest, offsets, delay_frames)
+        window = replace(window, begin=begin, targets=targets)
+        return window.to(actions.device)
+
     def repeated(self, n: int) -> Window:
         """Return each window n times in succession."""
         index = torch.arange(len(self.begin), device=self.begin.device)
         return self[index.repeat_interleave(n)]
+
+
+def _frames(batch: Batch, model: ObActModel) -> tuple[Frames, Tensor]:
+    """Return the frames of a batch, and which of them were recorded, ``(B, L)``."""
+    config = model.config
+    columns = config.sighting_keys
+    if columns[0] in batch:
+        observed = columns[0]
+        sightings = torch.stack([batch[key] for key in columns], dim=2)
+    else:
+        observed = config.cameras[0]
+        images = {key: batch[key] for key in config.cameras}
+        before = {key: torch.cat([x[:, :1], x[:, :-1]], dim=1) for key, x in images.items()}
+        sightings = model.encode_images(images, before)
+    offsets = torch.tensor(config.observation_delta_indices, device=sightings.device)
+    all_frames = torch.zeros(sightings.shape[:2], dtype=torch.bool, device=sightings.device)
+    recorded = ~batch.get(f"{observed}_is_pad", all_frames)
+    hidden = ~recorded & (offsets <= 0)
+    state = model.state_of(batch, sightings.shape[:2])
+    return Frames(sightings, state, offsets / config.embodiment.fps, hidden), recorded
 
 
 class VirtualHands:

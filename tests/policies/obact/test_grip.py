@@ -23,7 +23,7 @@ from torch.utils.data import DataLoader
 
 from dynahoi_lerobot.encode import encode
 from dynahoi_lerobot.experts.match import SEAT_M, braked
-from tests.checkpoints import TINY_OBACT, observation
+from tests.checkpoints import TINY_OBACT, observation, window_of
 from tests.tools import generated
 
 SEAT = torch.tensor(SEAT_M, dtype=torch.float32)
@@ -179,13 +179,13 @@ def test_before_the_grip_a_target_goes_its_way_and_then_it_goes_with_the_hand(ro
 
 def test_a_hand_that_grips_is_shown_as_it_was_and_learns_what_it_did(root: Path):
     policy = learner(root)
-    window = policy._window(batch_of(policy, root))
+    window = window_of(policy, batch_of(policy, root))
     targets = window.targets
     assert isinstance(targets, Targets)
     assert 0.2 < targets.gripped.float().mean() < 0.9
     held = window[targets.gripped]
     torch.manual_seed(0)
-    shown = policy._with_hands(held)
+    shown = VirtualHands(table_of(policy).teacher, policy.model).drawn(held.repeated(2), 0.8)
     torch.testing.assert_close(shown.frames.state, held.repeated(2).frames.state)
     row = policy.config.n_obs_steps
     seen = held.repeated(2).frames.sightings
@@ -265,7 +265,7 @@ def test_fingers_of_led_hands_follow_the_head(root: Path, monkeypatch, *, far: b
     """One that closes them far from its target does not hold it; near it, it has caught it."""
     monkeypatch.setattr("lerobot_policy_obact.windows.START_M", 0.0)
     policy = learner(root)
-    window = policy._window(batch_of(policy, root))
+    window = window_of(policy, batch_of(policy, root))
     assert window.targets is not None
     free = window[~window.targets.gripped & (window.begin < 3)]
     teacher = table_of(policy).teacher

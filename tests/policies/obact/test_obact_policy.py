@@ -32,7 +32,7 @@ from torch.utils.data import DataLoader
 
 from dynahoi_lerobot.dataset import episode_column
 from dynahoi_lerobot.encode import encode
-from tests.checkpoints import FEATURES, SMALL_GR00T, TINY_OBACT, observation
+from tests.checkpoints import FEATURES, SMALL_GR00T, TINY_OBACT, observation, window_of
 from tests.checkpoints import SHIPPED as SHIPPED_POLICY
 from tests.tools import generated, lerobot_train, options, python, run
 
@@ -229,7 +229,7 @@ def test_images_and_their_sightings_are_the_same_to_a_frozen_encoder(image_root,
     for root in (image_root, hand_root):
         policy = learner(root, n_future_steps=0, n_obs_steps=40)
         torch.manual_seed(0)
-        found.append(policy._window(batch_of(policy, root, n=8)).frames)
+        found.append(window_of(policy, batch_of(policy, root, n=8)).frames)
     images, columns = found
     torch.testing.assert_close(images.state, columns.state)
     assert images.hidden.equal(columns.hidden)
@@ -242,7 +242,7 @@ def test_images_and_their_sightings_are_the_same_to_a_frozen_encoder(image_root,
 def test_a_window_shows_the_target_as_it_moves_from_its_first_frame_on(episodes, hand_root):
     policy = learner(hand_root)
     batch = batch_of(policy, hand_root, n=16, episodes=episodes)
-    window = policy._window(batch)
+    window = window_of(policy, batch)
     paths = episode_column(hand_root, "target_path")
     for i, (episode, index) in enumerate(zip(batch["episode_index"], batch["index"], strict=True)):
         first = int(index - policy.targets.first_index[episode]) - 12
