@@ -18,6 +18,7 @@ import resource
 import shlex
 import shutil
 import subprocess
+import sys
 from collections import Counter
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -281,7 +282,10 @@ def do(folder: Path, command: list[str]) -> None:
         shutil.rmtree(folder, ignore_errors=True)
     print(shlex.join(command), flush=True)
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    subprocess.run(command, check=True, cwd=REPOSITORY, env=os.environ | {"PYTHONUNBUFFERED": "1"})
+    # the programs beside this Python, also where its environment is not on the path
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", os.defpath)])
+    env = os.environ | {"PYTHONUNBUFFERED": "1", "PATH": path}
+    subprocess.run(command, check=True, cwd=REPOSITORY, env=env)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     spent_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     done(folder).write_text(json.dumps({"processor_minutes": round(spent_s / 60, 1)}) + "\n")

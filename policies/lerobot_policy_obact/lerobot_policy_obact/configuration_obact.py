@@ -44,6 +44,7 @@ SIGHTINGS = "observation.sightings."
 """Keys of the images of a view, and of what the frozen eye saw in them."""
 SHIPPED_WEIGHTS = f"{{view}}_{EYE_PX}"  # of the eyes that ship, as an option of the encoder
 MOST_RELATIVE = 3  # coordinates of a place
+N_CALIBRATION = 9  # numbers of a camera's calibration, see `Embodiment`
 FINAL_LR_SHARE = 0.02  # of the learning rate, to which the schedule decays
 
 
@@ -148,6 +149,9 @@ class ObActConfig(PreTrainedConfig):
         for name, least in AT_LEAST.items():
             self._require(attrgetter(name)(self) >= least, name, f"{least} or more")
         self._require(self.embodiment.fps > 0, "embodiment.fps", "above 0")
+        calibrated = all(len(one) == N_CALIBRATION for one in self.embodiment.calibration.values())
+        allowed = f"{N_CALIBRATION} numbers for each camera"
+        self._require(calibrated, "embodiment.calibration", allowed)
         self._require(
             1 <= self.n_action_steps <= self.horizon,
             "n_action_steps",

@@ -805,6 +805,7 @@ def test_another_number_of_environments_needs_a_reset():
         ("virtual_share", 1.5, "0 to 1"),
         ("normalization_mapping", {"STATE": NormalizationMode.MEAN_STD}, "IDENTITY"),
         ("use_amp", True, "false"),
+        ("embodiment", Embodiment(calibration={"observation.images.ego": [0.0, 1.0]}), "9 numbers"),
     ],
 )
 def test_a_wrong_option_is_named_with_what_is_allowed(name: str, value: object, allowed: str):
