@@ -34,6 +34,7 @@ from dynahoi_lerobot.core.image_sensor import ImageSensor, image_sensor
 from dynahoi_lerobot.core.machine import cores
 from dynahoi_lerobot.core.reading import reading
 from dynahoi_lerobot.dataset import paths
+from dynahoi_lerobot.dataset.card import write_card
 from dynahoi_lerobot.dataset.manifest import ENCODED, Manifest, hash_files
 from dynahoi_lerobot.dataset.statistics import column_stats
 from dynahoi_lerobot.dataset.store import (
@@ -111,6 +112,8 @@ def encode(
             f"{root} has no images of the hand's camera for the eye to see: the views are "
             f"{', '.join(views)} and the sensor is {sensor!r}"
         )
+    if environment_state and ENVIRONMENT_STATE in store.features:
+        raise ValueError(f"{root} already has {ENVIRONMENT_STATE}; leave --environment-state out")
     dataset = open_dataset(root)
     columns = _sightings(store, views)
     added: dict[str, Any] = {
@@ -135,7 +138,9 @@ def encode(
             found = column_stats(values)
             stats[key] = {name: value.tolist() for name, value in found.items()}
         paths.write_json(stats, folder / paths.STATS_PATH)
-        signed = replace(manifest, provenance=provenance, files=hash_files(folder))
+        described = replace(manifest, provenance=provenance, files={})
+        write_card(Store(folder), described)
+        signed = replace(described, files=hash_files(folder))
         signed.write(folder)
     return signed
 

@@ -87,6 +87,8 @@ def test_it_is_signed_anew(dataset: Path, encoded: Path):
 def test_verify_checks_what_is_left_of_it(encoded: Path, tmp_path: Path, capsys):
     dynahoi("verify", encoded)
     assert "its images were encoded" in capsys.readouterr().out
+    (line,) = [x for x in (encoded / "README.md").read_text().split("\n") if SIGHTINGS_PREFIX in x]
+    assert "log" in line, "its card names the numbers"
     root = shutil.copytree(encoded, tmp_path / "changed")
     flip_byte(next(root.glob("data/*/*.parquet")))
     dynahoi("verify", root, code=1)
@@ -140,8 +142,20 @@ def test_act_learns_from_it_and_its_checkpoint_asks_environments_for_the_same(tm
     small = {"dim_model": 16, "n_heads": 2, "dim_feedforward": 16, "chunk_size": 4, "device": "cpu"}
     recipe = Path(__file__).parents[1] / "recipes/train/act.yaml"
     given = {"config_path": recipe, "env": None}
-    told = trained_for(lerobot_train(with_state, tmp_path / "act", small, **given))
-    assert told["environment_state"] == "eye"
+    act = lerobot_train(with_state, tmp_path / "act", small, **given)
+    assert trained_for(act)["environment_state"] == "eye"
+    film, results = tmp_path / "film.gif", tmp_path / "results"
+    dynahoi("view", "--motion=planar", "--policy", act, "--out", film)
+    dynahoi("evaluate", "--policy", act, "--episodes=1", "--out", results)
+    dynahoi("view", "--results", results, "--image-size=32", "--out", film)
+
+
+def test_a_column_that_is_there_is_not_added_again(with_state: Path, tmp_path: Path, monkeypatch):
+    """It says so before it has encoded all images."""
+    root = generated(tmp_path / "images", "--image-size=96", "--environment-state=eye")
+    monkeypatch.setattr("dynahoi_lerobot.encode._sightings", None)
+    said = dynahoi("encode", root, tmp_path / "out", "--environment-state", code=2).err
+    assert "already has observation.environment_state; leave --environment-state out" in said
 
 
 @pytest.mark.parametrize(

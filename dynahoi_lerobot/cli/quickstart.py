@@ -67,7 +67,11 @@ class Options:
     out: Path = option(Path("outputs/quickstart"), "output folder")
     episodes: int = option(800, "dataset episodes", whole(1, 10**6))
     steps: int = option(400, "training steps", whole(1, 10**6))
-    evaluation_episodes: int = option(2, "evaluation episodes per kind of motion", whole(1, 1000))
+    evaluation_episodes: int = option(
+        2,
+        "evaluation episodes per kind of motion",
+        whole(1, BENCHMARK.splits[SMALL_TEST].size // len(KINDS)),
+    )
     tiny: bool = option(False, "smoke test with meaningless scores")
     open: bool = option(False, "open the report in the browser when done")
 

@@ -20,15 +20,16 @@ from dynahoi_lerobot.cli.sample_page import (
     write_sample,
 )
 from dynahoi_lerobot.cli.thoughts import drawn
-from dynahoi_lerobot.core.arguments import given_of, option, whole
+from dynahoi_lerobot.core.arguments import given_of, option, refuse_given, whole
 from dynahoi_lerobot.core.conventions import (
     CONTROL_HZ,
+    DETECTOR_IMAGE_SIZE_PX,
     EGO_VIEW,
     SEED_LIMIT,
 )
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.escaping import printable
-from dynahoi_lerobot.core.features import IMAGE_PREFIX
+from dynahoi_lerobot.core.features import EYE, IMAGE_PREFIX
 from dynahoi_lerobot.core.files import write_atomically
 from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.core.protocols import is_acting
@@ -43,6 +44,7 @@ from dynahoi_lerobot.evaluate.actors import (
 )
 from dynahoi_lerobot.evaluate.gif import BORDERS, encode_gif, frame_phases, phases_of
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
+from dynahoi_lerobot.evaluate.replay_results import open_recipe
 from dynahoi_lerobot.evaluate.results import read_results
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.renderers.views import VIEWS
@@ -55,6 +57,13 @@ from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.splits import kind_seeds
 from dynahoi_lerobot.world.batch import WorldBatch
 
+CHOICES = ("episode", "seed", "split", "policy", "trust")
+CHOICES_OF = {
+    "motion": {"seed", "split", "policy", "trust"},
+    "dataset": {"episode"},
+    "results": {"seed"},
+}
+"""Options that choose an episode or who plays it, and those of each source."""
 SHOWN_PX = 384
 """Least width of a clip, in which episodes are rendered, unless a policy sees smaller images."""
 
@@ -133,10 +142,20 @@ def run(options: Options) -> int:
             "choose one of --motion MOTION, --dataset DIR --episode I, --results DIR --seed S"
         )
     (name,) = chosen
+    _refuse_ignored(options, name)
     clip = sources[name](getattr(options, name), options)
     write_clip(options.out, clip)
     print(printable(f"{options.out}: {clip.caption}"))
     return 0
+
+
+def _refuse_ignored(options: Options, source: str) -> None:
+    """Refuse options that would have no effect on an episode of a ``source``."""
+    without = f"has no effect with --{source}"
+    refuse_given(options, set(CHOICES) - CHOICES_OF[source], without)
+    known = {"results": {"image_size", "salt"}, "dataset": set()}.get(source, options.given.keys())
+    for name in options.given.keys() - known:
+        raise ValueError(f"--{name.replace('_', '-')} {without}")
 
 
 def _sample(per_kind: int, options: Options) -> int:
@@ -147,6 +166,7 @@ def _sample(per_kind: int, options: Options) -> int:
         raise ValueError(
             f"--sample writes a web page, so --out must end in .html, got {options.out}"
         )
+    _refuse_ignored(options, "dataset")
     store = Store(options.dataset)
     store.check_files()
     if not all("motion" in row for row in store.rows):
@@ -173,7 +193,8 @@ def _played(motion: str, options: Options) -> Clip:
     else:
         actor = make_actor(options.policy, given.get("capture", Rules.capture), trust=options.trust)
     if not actor.sees_images:
-        given.setdefault("image_size", SHOWN_PX)
+        seen_by_the_eye = actor.environment_state == EYE
+        given.setdefault("image_size", DETECTOR_IMAGE_SIZE_PX if seen_by_the_eye else SHOWN_PX)
     if options.view != EGO_VIEW:
         given["views"] = (*given.get("views", ()), options.view)
     # what is not part of the benchmark is listed by no split
@@ -209,13 +230,14 @@ def _replayed(folder: Path, options: Options) -> Clip:
         raise ValueError(
             f"{folder} has no episode with seed {options.seed}; it has {min(seeds)} to {max(seeds)}"
         )
-    recipe = results.recipe()
+    recipe = open_recipe(results, options.given.get("salt", ""))
     if recipe_code(recipe) != results.info.code:
         print("other code produced these results: the replay may differ from the evaluated episode")
     index = seeds.index(options.seed)
     size = options.given.get("image_size", SHOWN_PX)
     views = () if options.view == EGO_VIEW else (options.view,)
-    shown = changed(recipe, {"image_size": size, "views": views})
+    # the commands are known, and nobody looks but the reader
+    shown = changed(recipe, {"image_size": size, "views": views, "environment_state": ""})
     (episode,) = replay(shown, [results.log(index)], as_evaluated=True)  # a log may go on for days
     return _clip(episode, options.view, results.info.policy)
 

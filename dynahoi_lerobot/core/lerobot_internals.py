@@ -6,6 +6,7 @@ Policies use nothing of the core, and import the little that they need themselve
 
 from __future__ import annotations
 
+import inspect
 import logging
 import sys
 from collections.abc import Iterator
@@ -101,6 +102,20 @@ def mistakes_in_a_sentence() -> Iterator[None]:
         sentence = " ".join(str(error.__cause__ or error).split())
         print(f"{command_name()}: {sentence}", file=sys.stderr)
         sys.exit(BAD_INPUT)
+
+
+def recording_loop() -> tuple[float, bool] | None:
+    """Return when the loop of ``lerobot-record`` began that calls this, and whether it records;
+    None for any other caller.
+
+    LeRobot tells a robot neither that an episode begins, nor that it waits for a reset.
+    """
+    frame = inspect.currentframe()
+    while frame := frame and frame.f_back:
+        if frame.f_code.co_qualname == "record_loop" and "start_episode_t" in frame.f_locals:
+            told = frame.f_locals
+            return told["start_episode_t"], told.get("dataset") is not None
+    return None
 
 
 # -- policies --------------------------------------------------------------------------------------

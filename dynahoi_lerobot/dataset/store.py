@@ -147,7 +147,7 @@ def episode_column(root: Path, key: str) -> list[np.ndarray]:
     """Return a privileged array, one item an episode: item i belongs to ``episode_index`` i.
 
     Unlike ``frame_column``, it also reads arrays whose number of rows is not the number of frames,
-    such as ``target_path_h``: the target's untouched path, beyond the end of the recording.
+    such as ``target_path``: the target's untouched path, beyond the end of the recording.
 
     Args:
         root: the dataset's folder.

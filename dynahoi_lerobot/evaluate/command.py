@@ -1,6 +1,6 @@
 """``dynahoi evaluate``: run a policy or an expert on a split and write the result folder."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import batched
@@ -17,7 +17,13 @@ from dynahoi_lerobot.core.protocols import PROTOCOLS
 from dynahoi_lerobot.core.reading import ReadError
 from dynahoi_lerobot.evaluate import replay_results
 from dynahoi_lerobot.evaluate.actors import AS_TRAINED, TRUST, VLM, make_actor, playing_rules
-from dynahoi_lerobot.evaluate.results import Results, RunInfo, kept_results, read_results
+from dynahoi_lerobot.evaluate.results import (
+    Results,
+    RunInfo,
+    kept_results,
+    read_results,
+    saved_extra,
+)
 from dynahoi_lerobot.evaluate.table import kind_table, results_table
 from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.rollout.inference import (
@@ -37,6 +43,11 @@ from dynahoi_lerobot.world.batch import WorldBatch
 
 FOR_VLM = ("model", "prompt", "base_url", "request_timeout")
 """Options of vision-language models."""
+WITHOUT_REPLAY = (
+    *("split", "out", "batch_size", "gifs", "per_kind", "device", "trust"),
+    *("inference", "inference_ms", *FOR_VLM),
+)
+"""Options without effect on a replay."""
 
 
 def _latency(text: str) -> float | None:
@@ -122,6 +133,7 @@ def run(options: Options) -> int:
     if options.replay_seed is not None and not options.replay:
         raise ValueError(f"--replay-seed {options.replay_seed} is for --replay RESULTS")
     if options.replay:
+        _refuse_ignored_in_replay(options)
         return replay_results.run(
             options.replay, options.given.get("salt", ""), options.episodes, options.replay_seed
         )
@@ -149,19 +161,41 @@ def run(options: Options) -> int:
         _refuse_missing_clips(options, earlier)
         seeds = _seeds(options, earlier.seeds)
         results = earlier if seeds else _finished(earlier)
+        asked = saved_extra(options.out).get(VLM, {})
         for episodes in _played(options, recipe, actor, seeds, _batch_size(options, inference)):
             results = results.plus(episodes)
-            info.extra.update(actor.report())
+            report = actor.report()
+            info.extra.update(report | ({VLM: _added(asked, report[VLM])} if VLM in report else {}))
             if options.out:
                 results.write()
     print(results_table([results]))
     if options.policy == VLM:
-        print(
-            "\n" + ", ".join(f"{name} {value}" for name, value in info.extra.get(VLM, {}).items())
-        )
+        account = results.info.extra.get(VLM, {})
+        print("\n" + ", ".join(f"{name} {value}" for name, value in account.items()))
     if options.per_kind:
         print("\n" + kind_table(results).as_text())
     return 0
+
+
+def _added(before: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any]:
+    """Return two accounts of one run as one: counts and seconds add up."""
+    whole = {**before, **now}
+    for name in before.keys() & now.keys():
+        if isinstance(now[name], dict):
+            whole[name] = _added(before[name], now[name])
+        elif type(now[name]) in (int, float):
+            whole[name] = before[name] + now[name]
+    return whole
+
+
+def _refuse_ignored_in_replay(options: Options) -> None:
+    """Refuse options that would have no effect on a replay, which follows the result folder."""
+    without = "has no effect with --replay"
+    refuse_given(options, WITHOUT_REPLAY, without)
+    for name in (options.given.keys() - {"salt"}) | {"set" for _ in options.set}:
+        raise ValueError(f"--{name.replace('_', '-')} {without}")
+    if options.episodes is not None and options.episodes < 1:
+        raise ValueError(f"--episodes must be 1 or more, got {options.episodes}")
 
 
 def _finished(results: Results) -> Results:

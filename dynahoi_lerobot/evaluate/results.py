@@ -303,6 +303,17 @@ def kept_results(folder: Path | None, info: RunInfo) -> Iterator[Results]:
         yield Results.resumed(folder, info) if folder else Results(Path(), info)
 
 
+def saved_extra(folder: Path | None) -> dict[str, Any]:
+    """Return ``RunInfo.extra`` of what an interrupted run has saved; nothing if it saved nothing.
+
+    Raises:
+        ReadError: if the saved file is damaged.
+    """
+    if folder is None or not (folder / METRICS_FILE).exists():
+        return {}
+    return _read_head(folder / METRICS_FILE)["extra"]
+
+
 def read_results(folder: Path) -> Results:
     """Read a result folder.
 

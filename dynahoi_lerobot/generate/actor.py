@@ -11,6 +11,7 @@ from pathlib import Path
 import dynahoi_lerobot
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE
 from dynahoi_lerobot.core.reading import read_object, sha256
+from dynahoi_lerobot.evaluate.actors import EXPERT_ALIAS
 from dynahoi_lerobot.evaluate.checkpoint import checked_folder
 from dynahoi_lerobot.evaluate.checkpoint_files import (
     ADAPTER,
@@ -20,6 +21,7 @@ from dynahoi_lerobot.evaluate.checkpoint_files import (
     base_folder,
 )
 from dynahoi_lerobot.evaluate.policy_agent import PolicyAgent
+from dynahoi_lerobot.experts import EXPERTS
 from dynahoi_lerobot.sampling.fingerprint import hash_packages
 
 POLICY_SOURCES = ("evaluate/policy_agent.py", "core/lerobot_internals.py")
@@ -37,6 +39,8 @@ def open_policy(path: str, *, trust: bool = False) -> PolicyAgent:
             a repository is to be trusted, whose content would not be named, or if loading it could
             run code of its own, unless ``trust`` allows that.
     """
+    if path in (EXPERT_ALIAS, *EXPERTS.names()):
+        raise PolicyError(f"an actor is a checkpoint, got the baseline {path!r}; --expert records")
     if trust and not Path(path).is_dir():
         raise PolicyError(
             f"--trust needs a folder as the actor, got {path!r}; download the repository first"

@@ -90,12 +90,11 @@ def run(
             FOR_EXECUTORS,
             f"needs --executor {', '.join(EXECUTORS[:-1])} or {EXECUTORS[-1]}",
         )
-    told = read_recording(options.recipe) if options.recipe else {}
+    told = (read_recording(options.recipe) if options.recipe else {}) | options.given
     runs_on = ""
     if options.actor is not None:
-        actor, runs_on, record = _on_policy(options.actor, options, told)
-        told |= actor
-    recording = changed(recording or Recording(), told | options.given)
+        told, runs_on, record = _on_policy(options.actor, options, told)
+    recording = changed(recording or Recording(), told)
     plan = _plan(options, recording, runs_on)
     if options.executor is not None:
         from dynahoi_lerobot.generate import executors
@@ -134,8 +133,8 @@ def run(
 def _on_policy(
     actor: str, options: Options, told: dict[str, Any]
 ) -> tuple[dict[str, Any], str, Record]:
-    """Return what the policy of ``--actor`` changes of the recording, its ``runtime``, and its
-    recorder.
+    """Return the values of the recording, those ``told`` and those of the policy of ``--actor``;
+    its ``runtime``; and its recorder.
     """
     policy = open_policy(actor, trust=options.trust)
     name = actor_name(actor)
@@ -144,11 +143,7 @@ def _on_policy(
     runs_on = runtime(policy)
     make = partial(make_actor, path=actor, name=name, on=runs_on, trust=options.trust)
     record = partial(loop.record_on_policy, make_agent=make, threads=_threads(options))
-    return (
-        playing_rules({"views": told.get("views", ())}, policy) | {"actor": name},
-        runs_on,
-        record,
-    )
+    return playing_rules(told, policy) | {"actor": name}, runs_on, record
 
 
 def _threads(options: Options) -> int:

@@ -62,9 +62,12 @@ def run(options: Options) -> int:
         write_latex(entries, options.latex, options.across)
     print(table.results_table([entry.results for entry in entries]))
     pairs = list(combinations(entries, 2))
-    for name in CROSSABLE:
-        if any(name in unequal_conditions(a.results, b.results, options.across) for a, b in pairs):
-            print(f"evaluations with different {name} are not paired; --across {name} pairs them")
+    apart = {tuple(unequal_conditions(a.results, b.results, options.across)) for a, b in pairs}
+    for names in sorted(apart - {()}):
+        never = [name for name in names if name not in CROSSABLE]
+        across = " ".join(f"--across {name}" for name in names)
+        remedy = f"with different {never[0]} none can be" if never else f"{across} pairs them"
+        print(f"evaluations with different {' and '.join(names)} are not paired; {remedy}")
     for a, b in pairs if options.across else []:
         if not unequal_conditions(a.results, b.results, options.across):
             print(_difference(a, b))

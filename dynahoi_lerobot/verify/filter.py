@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dynahoi_lerobot.core.arguments import argument, option
+from dynahoi_lerobot.core.arguments import argument, option, refuse_given
 from dynahoi_lerobot.core.escaping import printable
 from dynahoi_lerobot.core.reading import reading
 from dynahoi_lerobot.dataset.columns import BOOKKEEPING, numeric_keys
@@ -45,6 +45,8 @@ def run(options: Options) -> int:
             "give --out DIR for the new dataset, or --dry-run to see which episodes it would "
             "leave out"
         )
+    if options.drop:
+        refuse_given(options, ("margin", "column"), "finds outliers, and has no effect with --drop")
     episodes = Store(options.root).episodes
     outliers = {} if options.drop else find_outliers(options.root, options.margin, options.column)
     unknown = sorted(set(options.drop) - set(map(str, range(episodes))))

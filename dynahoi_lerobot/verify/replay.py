@@ -136,7 +136,9 @@ def replay_problems(
             problem = None if same else _apart(again, stored_images)
             if problem:
                 yield f"{key} of episode {index} {problem}"
-    note(f"{equal} of the {videos} videos replayed are equal byte for byte")
+    if videos:
+        kind = "videos" if store.video_keys else "sequences of images"
+        note(f"{equal} of the {videos} {kind} replayed are equal byte for byte")
 
 
 def _content(episode: Episode) -> dict[str, object]:

@@ -41,6 +41,15 @@ CASES = [
     ("filter DATASET --out x --drop=-1", "-1"),
     ("filter DATASET", "--out DIR"),
     ("filter DATASET --out .", ". exists"),
+    ("filter DATASET --out x --drop 0 --margin 2", "--margin finds outliers"),
+    ("view --dataset DATASET --seed 3 --out x.gif", "--seed has no effect with --dataset"),
+    ("view --dataset DATASET --image-size 32 --out x.gif", "--image-size has no effect"),
+    ("view --motion lob --episode 3 --out x.gif", "--episode has no effect with --motion"),
+    ("evaluate --replay x --episodes 0", "--episodes must be 1 or more, got 0"),
+    ("evaluate --replay x --split val", "--split has no effect with --replay"),
+    ("evaluate --replay x --capture contact", "--capture has no effect with --replay"),
+    ("evaluate --replay x --set a=1", "--set has no effect with --replay"),
+    ("quickstart --evaluation-episodes 6", "from 1 to 5, got 6"),
     ("verify .", "is no LeRobot dataset"),
     ("verify DATASET --replay=-1", "got -1"),
     ("verify x --json missing/summary.json", "missing/summary.json"),
@@ -56,6 +65,7 @@ CASES = [
     (f"{GENERATE} --codec images --preset fast", "'fast'"),
     (f"{GENERATE} --recipe recipe.yaml", "motions must be a list, got 'lob'"),
     (f"{GENERATE} --actor nowhere", "'nowhere'"),
+    (f"{GENERATE} --actor pursuit", "an actor is a checkpoint, got the baseline 'pursuit'"),
 ]
 """A command, and what it says; a file recipe.yaml is there, and DATASET stands for one of six
 episodes."""

@@ -81,6 +81,18 @@ def test_an_evaluation_goes_on_where_it_stopped_and_its_episodes_are_shown(tmp_p
     dynahoi(*words, "--seed=1")
     assert film.read_bytes() == shown["side"], "a log may be longer than its episode"
     dynahoi(*words, "--seed=7", code=2)
+    said = dynahoi(*words, "--seed=1", "--policy=hold", code=2).err
+    assert "--policy has no effect with --results" in said
+
+
+def test_an_episode_of_a_salted_stream_is_shown_to_who_knows_the_salt(tmp_path):
+    out = tmp_path / "r"
+    salt = "--salt=a secret of sixteen letters"
+    dynahoi("evaluate", "--policy=hold", "--episodes=1", "--image-size=32", salt, "--out", out)
+    words = ["view", "--results", out, "--image-size=32", "--out", tmp_path / "film.gif"]
+    dynahoi(*words, salt)
+    assert (tmp_path / "film.gif").exists()
+    assert "as --salt says" in dynahoi(*words, code=2).err
 
 
 @pytest.mark.parametrize("suffix", ["gif", "mp4", "html"])

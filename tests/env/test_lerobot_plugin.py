@@ -12,6 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from lerobot.configs import parser
 from lerobot.envs.configs import EnvConfig
 from lerobot.envs.utils import (
     _call_make_env,
@@ -139,6 +140,24 @@ def test_the_rules_are_those_of_the_revision_that_lerobot_plays(said, tmp_path, 
     assert said(words).rules["control_class"] == "standard"
     found = said([*words, "--policy.pretrained_revision=v1"])
     assert found.rules["control_class"] == "late"
+
+
+def test_the_checkpoint_may_be_named_in_a_config_file(said, tmp_path: Path, monkeypatch):
+    """That of a training that is resumed names what it began with."""
+    checkpoint = tmp_path / "checkpoint"
+    checkpoint.mkdir()
+    told = {"type": "obact", "rules": {"control_class": "late"}}
+    (checkpoint / "config.json").write_text(json.dumps(told))
+    (checkpoint / "model.safetensors").write_bytes(b"weights")
+    resumed = tmp_path / "train_config.json"
+    resumed.write_text(json.dumps({"policy": told | {"pretrained_path": str(checkpoint)}}))
+    launch = said(["lerobot-train", f"--config_path={resumed}", "--resume=true"])
+    assert (launch.policy, launch.rules["control_class"]) == ("obact", "late")
+    # as LeRobot's parser keeps `policy: {path: ...}` of a file
+    monkeypatch.setattr(parser, "_config_path_args", {"policy": str(checkpoint)})
+    launch = said(["lerobot-eval", "--config_path=eval.yaml"])
+    assert (launch.policy, launch.rules["control_class"]) == ("obact", "late")
+    assert set(launch.weights) == {"model.safetensors"}
 
 
 def test_results_go_below_lerobots_output_folder(tmp_path: Path, said) -> None:

@@ -7,11 +7,14 @@ import socket
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Thread
+from types import SimpleNamespace
 
 import aiohttp
 import numpy as np
 import pytest
+from lerobot.processor import make_default_processors
 from lerobot.robots import make_robot_from_config
+from lerobot.scripts.lerobot_record import record_loop
 from lerobot.teleoperators import make_teleoperator_from_config
 from lerobot.utils.errors import DeviceNotConnectedError
 from lerobot_robot_dynahoi import (
@@ -134,6 +137,46 @@ def test_the_next_episode_begins_when_lerobot_comes_back_from_a_pause():
     robot.get_observation()
     assert robot.world.spec.seed != first
     assert robot.world.finished is None
+
+
+def test_every_episode_that_lerobot_records_is_one_of_the_worlds_without_a_pause_between_them():
+    """As with streaming encoding, which saves an episode at once, and in one recorded again."""
+    robot = robot_on(Clock(), realtime=False)
+    expert = make_teleoperator_from_config(DynahoiExpertConfig())
+    expert.connect()
+    identity = {
+        f"{name}_processor": pipeline
+        for name, pipeline in zip(
+            ("teleop_action", "robot_action", "robot_observation"),
+            make_default_processors(),
+            strict=True,
+        )
+    }
+
+    def recorded(dataset: object, frames: int) -> int:
+        """Let LeRobot record or reset for some frames; return the number of the episode then."""
+        events = {"exit_early": False}
+        left = iter(range(frames))
+        robot.send_action = lambda action: (
+            events.update(exit_early=next(left, None) is None)
+            or (DynahoiRobot.send_action(robot, action))
+        )
+        record_loop(
+            robot, events, 1000, **identity, dataset=dataset, teleop=expert, control_time_s=9
+        )
+        return robot.world.spec.seed
+
+    data = SimpleNamespace(fps=1000, features={}, add_frame=lambda frame: None)
+    first = recorded(data, 3)
+    assert recorded(None, 3) == first, "what LeRobot does in its reset phase begins no episode"
+    again = recorded(data, 3)
+    assert again != first, "in the middle of a flight"
+    assert recorded(data, 200) not in (first, again)
+    assert robot.world.finished
+    last = robot.world.spec.seed
+    assert recorded(None, 3) == last
+    assert recorded(data, 3) != last
+    assert not robot.world.finished
 
 
 def test_a_paused_lerobot_that_holds_the_hand_waits_in_the_first_frame_of_the_next_episode():

@@ -386,6 +386,10 @@ def test_evaluations_under_other_conditions_are_paired_only_where_that_is_asked_
     told = report(tmp_path / "b", "--across", "render_noise")
     assert "a minus a, noise 2, 8 episodes" in told
     assert "Paired comparison" in told
+    other = {"render_noise": 2, "capture": "contact"}
+    example_run(tmp_path / "c", "a", 0.3, 8, recipe=other, capture="contact")
+    told = report(tmp_path / "c", "--across", "render_noise")
+    assert "capture and hand are not paired; with different capture none can be" in told
     said = dynahoi("report", tmp_path / "a", tmp_path / "old", code=2).err
     assert "has benchmark 'v0'" in said
     assert "v0" in report(tmp_path / "old", "--allow-version-mismatch")

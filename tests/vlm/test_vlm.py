@@ -268,6 +268,20 @@ def test_evaluating_a_model_from_the_command_line(tmp_path: Path, capsys: pytest
     assert "failed 0" in capsys.readouterr().out
 
 
+def test_the_account_of_a_run_that_goes_on_is_of_all_its_episodes(tmp_path: Path, capsys):
+    with serving(lambda exchange: exchange.say("no")) as (url, seen):
+        words = ["--out", str(tmp_path), "--episodes"]
+        asked = []
+        for episodes in ("1", "2", "2"):
+            assert evaluated(url, *words, episodes) == 0
+            asked.append((len(seen), read_results(tmp_path).info.extra["vlm"]["answers"]))
+    assert [answers for _, answers in asked] == [sent for sent, _ in asked]
+    assert 0 < asked[0][0] < asked[1][0] == asked[2][0]
+    account = read_results(tmp_path).info.extra["vlm"]
+    assert account["problems"] == {"ReplyError": asked[1][0]}
+    assert f"answers {asked[1][0]}" in capsys.readouterr().out.splitlines()[-1]
+
+
 def test_the_papers_prompt_is_sent_and_named_in_every_row(
     tmp_path: Path, capsys: pytest.CaptureFixture
 ):

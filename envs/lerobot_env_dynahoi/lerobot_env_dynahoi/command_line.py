@@ -83,7 +83,7 @@ def read_launch(*, policy_config: bool = False) -> Launch:
     """Read the command line of this process and the config file that it names; nothing else here
     does. The policy's config is read on request.
     """
-    path = given("policy.path") or given("policy.pretrained_path")
+    path = _checkpoint()
     rules: dict[str, Any] = {}
     weights: dict[str, str] = {}
     renames: dict[str, str] = {}
@@ -101,6 +101,16 @@ def read_launch(*, policy_config: bool = False) -> Launch:
         weights = folder_weights(Path(path))
     config = _policy_config() if policy_config else None
     return Launch(name, rules, weights, renames, config, _output_dir())
+
+
+def _checkpoint() -> str | None:
+    """Path of the checkpoint that is played or, in training, was begun with; also a training that
+    is resumed names that in its config file.
+    """
+    path, _ = given_policy()
+    policy = _option("policy")
+    told = policy.get("pretrained_path") if isinstance(policy, dict) else None
+    return path or given("policy.pretrained_path") or told
 
 
 def _output_dir() -> Path:

@@ -14,6 +14,7 @@ from lerobot.utils.errors import DeviceNotConnectedError
 
 from dynahoi_lerobot.core.conventions import EGO_VIEW
 from dynahoi_lerobot.core.features import FEATURES
+from dynahoi_lerobot.core.lerobot_internals import recording_loop
 from dynahoi_lerobot.dataset.paths import ROBOT_TYPE
 from dynahoi_lerobot.evaluate.results import Results, RunInfo, kept_results
 from dynahoi_lerobot.evaluate.table import results_table
@@ -23,9 +24,9 @@ from lerobot_robot_dynahoi.config_dynahoi import DynahoiRobotConfig
 NAMES = FEATURES["action"].names
 """Degrees of freedom as LeRobot calls them, in the order of actions and states."""
 PAUSE_S, LONG_PAUSE_S = 0.25, 1.0
-"""LeRobot acts every 0.05 s. An observation this long after the last action begins an episode of
-LeRobot's own: the first where the world's episode is over, the second in the middle of it, where a
-slow policy also lets time pass."""
+"""LeRobot acts every 0.05 s. Where it does not record, an observation this long after the last
+action begins an episode of LeRobot's own: the first where the world's episode is over, the second
+in the middle of it, where a slow policy also lets time pass."""
 
 logger = logging.getLogger(__name__)
 
@@ -57,10 +58,10 @@ class DynahoiRobot(Simulated, Robot):
     end in ``.pos``.
 
     An episode begins with the first action after it was laid out; when it is over the world stands
-    still. The next one is laid out when LeRobot begins an episode of its own, which is told by the
-    pause before that, or, where LeRobot has no episodes, after the config's ``restart_s``. While
-    paused, LeRobot may send the same dict again and again; that neither ends the pause nor begins
-    an episode.
+    still. The next one is laid out when LeRobot begins an episode of its own: in ``lerobot-record``
+    when its recording loop begins, else when it comes back from a pause, or, where LeRobot has no
+    episodes, after the config's ``restart_s``. While paused, LeRobot may send the same dict again
+    and again; that neither ends the pause nor begins an episode.
     """
 
     config_class = DynahoiRobotConfig
@@ -79,6 +80,7 @@ class DynahoiRobot(Simulated, Robot):
         self._world: LiveWorld | None = None
         self._number = config.seed  # of the next episode
         self._acted_s: float | None = None  # when the last action of this episode came
+        self._recorded: float | None = None  # when LeRobot's last loop began that recorded
         self._sent: dict[str, Any] | None = (
             None  # LeRobot sends the same dict again while it is paused
         )
@@ -190,6 +192,12 @@ class DynahoiRobot(Simulated, Robot):
         restart_s = self.config.restart_s
         if restart_s is not None:
             return ended_s is not None and now_s - ended_s >= restart_s
+        loop = recording_loop()
+        if loop is not None:
+            began_s, records = loop
+            begins = records and began_s != self._recorded
+            self._recorded = began_s if records else self._recorded
+            return begins and self._acted_s is not None
         return self._acted_s is not None and now_s - self._acted_s > (
             LONG_PAUSE_S if ended_s is None else PAUSE_S
         )

@@ -229,8 +229,10 @@ class ObActConfig(PreTrainedConfig):
 
     @property
     def history_steps(self) -> int:
-        """Most frames on which a decision is based: as many as the last one in a sample sees."""
-        return self.n_obs_steps + self.n_future_steps
+        """Most frames on which a decision is based: as many as the last one sees that is learned in
+        a sample. Recorded actions are learned in the current frame alone.
+        """
+        return self.n_obs_steps + (self.n_future_steps if self.forecasts else 0)
 
     @property
     def observation_delta_indices(self) -> list[int]:

@@ -867,3 +867,17 @@ def test_where_lerobot_has_merged_only_actions_are_learned(hand_root: Path, tmp_
     found = dataset.embodiment_of(meta, ["observation.images.ego"])
     assert found.capture == ""
     assert "only actions are learned" in caplog.text
+
+
+@pytest.mark.parametrize(("forecast_weight", "frames"), [(1.0, 37), (0.0, 13)])
+def test_it_acts_on_as_many_frames_as_it_learns_from(
+    forecast_weight: float, frames: int, hand_root: Path
+):
+    """Recorded actions are learned in the current frame alone, also where frames to come are
+    shown.
+    """
+    policy = learner(hand_root, forecast_weight=forecast_weight, n_obs_steps=13, n_future_steps=24)
+    policy.reset()
+    for seed in range(40):
+        policy.select_action(step(policy, seed=seed))
+    assert policy.decision.attention.shape[-1] == frames
