@@ -32,7 +32,7 @@ from dynahoi_lerobot.evaluate.results import METRICS_FILE, read_results
 from dynahoi_lerobot.evaluate.table import metrics_table
 from dynahoi_lerobot.report.page import render_report
 from dynahoi_lerobot.sampling.benchmark import BENCHMARK
-from dynahoi_lerobot.sampling.splits import SMALL_TEST
+from dynahoi_lerobot.sampling.splits import SMALL_TEST, split_seeds
 
 IMAGE_SIZE = 96
 TRAINING = Path(__file__).with_suffix(".yaml")
@@ -70,7 +70,7 @@ class Options:
     evaluation_episodes: int = option(
         2,
         "evaluation episodes per kind of motion",
-        whole(1, BENCHMARK.splits[SMALL_TEST].size // len(KINDS)),
+        whole(1, len(split_seeds(SMALL_TEST)) // len(KINDS)),
     )
     tiny: bool = option(False, "smoke test with meaningless scores")
     open: bool = option(False, "open the report in the browser when done")

@@ -64,6 +64,8 @@ CHOICES_OF = {
     "results": {"seed"},
 }
 """Options that choose an episode or who plays it, and those of each source."""
+RULES_OF = {"dataset": (), "results": ("image_size", "salt")}
+"""Options of the rules that a source heeds where its episodes were played before."""
 SHOWN_PX = 384
 """Least width of a clip, in which episodes are rendered, unless a policy sees smaller images."""
 
@@ -152,10 +154,11 @@ def run(options: Options) -> int:
 def _refuse_ignored(options: Options, source: str) -> None:
     """Refuse options that would have no effect on an episode of a ``source``."""
     without = f"has no effect with --{source}"
-    refuse_given(options, set(CHOICES) - CHOICES_OF[source], without)
-    known = {"results": {"image_size", "salt"}, "dataset": set()}.get(source, options.given.keys())
-    for name in options.given.keys() - known:
-        raise ValueError(f"--{name.replace('_', '-')} {without}")
+    ignored = [name for name in CHOICES if name not in CHOICES_OF[source]]
+    refuse_given(options, ignored, without)
+    for name in options.given:
+        if name not in RULES_OF.get(source, options.given):
+            raise ValueError(f"--{name.replace('_', '-')} {without}")
 
 
 def _sample(per_kind: int, options: Options) -> int:

@@ -44,9 +44,9 @@ from dynahoi_lerobot.world.batch import WorldBatch
 FOR_VLM = ("model", "prompt", "base_url", "request_timeout")
 """Options of vision-language models."""
 WITHOUT_REPLAY = (
-    *("split", "out", "batch_size", "gifs", "per_kind", "device", "trust"),
-    *("inference", "inference_ms", *FOR_VLM),
-)
+    "split", "out", "batch_size", "gifs", "per_kind", "device", "trust", "inference",
+    "inference_ms", *FOR_VLM,
+)  # fmt: skip
 """Options without effect on a replay."""
 
 
@@ -165,7 +165,9 @@ def run(options: Options) -> int:
         for episodes in _played(options, recipe, actor, seeds, _batch_size(options, inference)):
             results = results.plus(episodes)
             report = actor.report()
-            info.extra.update(report | ({VLM: _added(asked, report[VLM])} if VLM in report else {}))
+            if VLM in report:
+                report[VLM] = _added(asked, report[VLM])
+            info.extra.update(report)
             if options.out:
                 results.write()
     print(results_table([results]))

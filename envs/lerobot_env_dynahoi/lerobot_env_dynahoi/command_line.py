@@ -104,8 +104,8 @@ def read_launch(*, policy_config: bool = False) -> Launch:
 
 
 def _checkpoint() -> str | None:
-    """Path of the checkpoint that is played or, in training, was begun with; also a training that
-    is resumed names that in its config file.
+    """Return the path of the checkpoint that is played, or from which a training began. The command
+    line names it, or the config file does, as that of a training that is resumed.
     """
     path, _ = given_policy()
     policy = _option("policy")
