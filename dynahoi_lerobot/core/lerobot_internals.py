@@ -104,17 +104,26 @@ def mistakes_in_a_sentence() -> Iterator[None]:
         sys.exit(BAD_INPUT)
 
 
+RECORDING_LOOPS = {"record_loop": "start_episode_t", "EpisodicStrategy._policy_loop": "start_t"}
+"""Functions of ``lerobot-record`` and of the episodic ``lerobot-rollout`` that run through one
+episode, or wait for a reset, with the local variable that says when that began."""
+BETWEEN_EPISODES = "EpisodicStrategy.run"  # calls the robot there, too
+
+
 def recording_loop() -> tuple[float, bool] | None:
-    """Return when the loop of ``lerobot-record`` began that calls this, and whether it records;
-    None for any other caller.
+    """Return when LeRobot's loop over an episode began that calls this, and whether it records;
+    None for a caller that has no episodes.
 
     LeRobot tells a robot neither that an episode begins, nor that it waits for a reset.
     """
     frame = inspect.currentframe()
     while frame := frame and frame.f_back:
-        if frame.f_code.co_qualname == "record_loop" and "start_episode_t" in frame.f_locals:
+        name = frame.f_code.co_qualname
+        if name in RECORDING_LOOPS:
             told = frame.f_locals
-            return told["start_episode_t"], told.get("dataset") is not None
+            return told.get(RECORDING_LOOPS[name], 0.0), told.get("dataset") is not None
+        if name == BETWEEN_EPISODES:
+            return 0.0, False
     return None
 
 

@@ -5,15 +5,18 @@ programs on it.
 import asyncio
 import socket
 from dataclasses import dataclass
+from itertools import batched
 from pathlib import Path
-from threading import Thread
+from threading import Event, Thread
 from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import aiohttp
 import numpy as np
 import pytest
 from lerobot.processor import make_default_processors
 from lerobot.robots import make_robot_from_config
+from lerobot.rollout.strategies import episodic
 from lerobot.scripts.lerobot_record import record_loop
 from lerobot.teleoperators import make_teleoperator_from_config
 from lerobot.utils.errors import DeviceNotConnectedError
@@ -177,6 +180,54 @@ def test_every_episode_that_lerobot_records_is_one_of_the_worlds_without_a_pause
     assert recorded(None, 3) == last
     assert recorded(data, 3) != last
     assert not robot.world.finished
+
+
+def test_every_episode_of_an_episodic_rollout_is_one_of_the_worlds(monkeypatch):
+    """Also where LeRobot lets no time pass without an action between two of them."""
+    robot = robot_on(Clock(), realtime=False)
+    acts = lambda *args: robot.send_action(dict.fromkeys(robot.action_features, 0.0))  # noqa: E731
+    monkeypatch.setattr(episodic, "send_next_action", acts)
+    monkeypatch.setattr(episodic, "build_dataset_frame", lambda *args, **kwargs: {})
+    numbers = []
+
+    class Strategy(episodic.EpisodicStrategy):
+        def __init__(self) -> None:
+            self.config = SimpleNamespace(reset_to_initial_position=True)
+            self._engine = MagicMock()
+            self._interpolator = MagicMock(get_control_interval=lambda fps: 0.0)
+            self._events = dict.fromkeys(
+                ("stop_recording", "exit_early", "rerecord_episode"), False
+            )
+
+        def _process_observation_and_notify(self, *args: object) -> dict:
+            return {}
+
+        def _handle_warmup(self, *args: object) -> bool:
+            return False
+
+        def _log_telemetry(self, *args: object) -> None:
+            numbers.append(robot.world.spec.seed)
+            self._events["exit_early"] = len(numbers) % 3 == 0
+            self._events["rerecord_episode"] = len(numbers) == 6
+
+        def _return_to_initial_position(self, **kwargs: object) -> None:
+            robot.get_observation()
+            acts()
+
+    dataset = {"episode_time_s": 9, "reset_time_s": 0, "num_episodes": 3, "single_task": "catch"}
+    told = SimpleNamespace(
+        dataset=SimpleNamespace(**dataset), fps=1000, play_sounds=False, display_data=False,
+        display_mode="", display_compressed_images=False, use_torch_compile=False,
+    )  # fmt: skip
+    data = SimpleNamespace(dataset=MagicMock(), dataset_features={})
+    runtime = SimpleNamespace(cfg=told, shutdown_event=Event())
+    hardware = SimpleNamespace(robot_wrapper=robot, teleop=None)
+    monkeypatch.setattr(episodic, "VideoEncodingManager", MagicMock())
+    context = SimpleNamespace(runtime=runtime, hardware=hardware, data=data, processors=None)
+    Strategy().run(context)
+    episodes = [set(group) for group in batched(numbers, 3)]
+    assert [len(group) for group in episodes] == [1] * 4, "one of three is recorded again"
+    assert len(set.union(*episodes)) == 4
 
 
 def test_a_paused_lerobot_that_holds_the_hand_waits_in_the_first_frame_of_the_next_episode():

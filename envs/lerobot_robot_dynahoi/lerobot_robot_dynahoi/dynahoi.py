@@ -24,9 +24,9 @@ from lerobot_robot_dynahoi.config_dynahoi import DynahoiRobotConfig
 NAMES = FEATURES["action"].names
 """Degrees of freedom as LeRobot calls them, in the order of actions and states."""
 PAUSE_S, LONG_PAUSE_S = 0.25, 1.0
-"""LeRobot acts every 0.05 s. Where it does not record, an observation this long after the last
-action begins an episode of LeRobot's own: the first where the world's episode is over, the second
-in the middle of it, where a slow policy also lets time pass."""
+"""LeRobot acts every 0.05 s. Where it has no loop over episodes, an observation this long after the
+last action begins an episode of its own: the first where the world's episode is over, the second in
+the middle of it, where a slow policy also lets time pass."""
 
 logger = logging.getLogger(__name__)
 
@@ -58,10 +58,10 @@ class DynahoiRobot(Simulated, Robot):
     end in ``.pos``.
 
     An episode begins with the first action after it was laid out; when it is over the world stands
-    still. The next one is laid out when LeRobot begins an episode of its own: in ``lerobot-record``
-    when its recording loop begins, else when it comes back from a pause, or, where LeRobot has no
-    episodes, after the config's ``restart_s``. While paused, LeRobot may send the same dict again
-    and again; that neither ends the pause nor begins an episode.
+    still. The next one is laid out when LeRobot begins an episode of its own: when its recording
+    loop begins (see ``recording_loop``), else when it comes back from a pause, or, where LeRobot
+    has no episodes, after the config's ``restart_s``. While paused, LeRobot may send the same dict
+    again and again; that neither ends the pause nor begins an episode.
     """
 
     config_class = DynahoiRobotConfig
