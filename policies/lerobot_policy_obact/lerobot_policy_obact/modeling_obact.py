@@ -114,11 +114,13 @@ class ObActPolicy(PreTrainedPolicy):
             "closed_loop": config.closed_loop_weight,
         }
         weighted = [weights.get(name, 1.0) * loss for name, loss in losses.items()]
-        by_sample = torch.stack(weighted).sum(0).unflatten(0, (len(batch[ACTION]), -1)).mean(1)
+        total = torch.stack(weighted).sum(0)
         if known is not None:
-            weight = known.weight[batch["episode_index"].flatten().cpu()]
-            by_sample = by_sample * weight.to(by_sample)
-        return (by_sample if reduction == "none" else by_sample.mean()), logged
+            weight = known.weight[batch["episode_index"].flatten().cpu()].to(total)
+            total = total * weight.repeat_interleave(config.n_hands)
+        if reduction == "none":
+            return total.unflatten(0, (len(batch[ACTION]), -1)).mean(1), logged
+        return total.mean(), logged
 
     def _drawn_delay(self) -> int:
         """Return after how many frames commands take effect in this step of the training: the
