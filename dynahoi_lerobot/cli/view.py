@@ -20,7 +20,7 @@ from dynahoi_lerobot.cli.sample_page import (
     write_sample,
 )
 from dynahoi_lerobot.cli.thoughts import drawn
-from dynahoi_lerobot.core.arguments import given_of, option, refuse_given, whole
+from dynahoi_lerobot.core.arguments import given_of, option, refuse_given, refuse_others, whole
 from dynahoi_lerobot.core.conventions import (
     CONTROL_HZ,
     DETECTOR_IMAGE_SIZE_PX,
@@ -57,15 +57,11 @@ from dynahoi_lerobot.sampling.sampler import sample_specs
 from dynahoi_lerobot.sampling.splits import kind_seeds
 from dynahoi_lerobot.world.batch import WorldBatch
 
-CHOICES = ("episode", "seed", "split", "policy", "trust")
-CHOICES_OF = {
-    "motion": {"seed", "split", "policy", "trust"},
-    "dataset": {"episode"},
-    "results": {"seed"},
+HEEDED = {
+    "dataset": ("dataset", "episode", "sample", "view", "out"),
+    "results": ("results", "seed", "view", "out", "image_size", "salt"),
 }
-"""Options that choose an episode or who plays it, and those of each source."""
-RULES_OF = {"dataset": (), "results": ("image_size", "salt")}
-"""Options of the rules that a source heeds where its episodes were played before."""
+"""Options that have an effect on episodes that were played before, by their source."""
 SHOWN_PX = 384
 """Least width of a clip, in which episodes are rendered, unless a policy sees smaller images."""
 
@@ -154,11 +150,10 @@ def run(options: Options) -> int:
 def _refuse_ignored(options: Options, source: str) -> None:
     """Refuse options that would have no effect on an episode of a ``source``."""
     without = f"has no effect with --{source}"
-    ignored = [name for name in CHOICES if name not in CHOICES_OF[source]]
-    refuse_given(options, ignored, without)
-    for name in options.given:
-        if name not in RULES_OF.get(source, options.given):
-            raise ValueError(f"--{name.replace('_', '-')} {without}")
+    if source in HEEDED:
+        refuse_others(options, HEEDED[source], without)
+    else:
+        refuse_given(options, ["episode"], without)
 
 
 def _sample(per_kind: int, options: Options) -> int:

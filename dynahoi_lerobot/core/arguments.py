@@ -3,7 +3,7 @@ options describes.
 """
 
 from argparse import SUPPRESS, ArgumentParser, ArgumentTypeError
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import MISSING, Field, field, fields
 from pathlib import Path
@@ -175,3 +175,20 @@ def refuse_given(options: Any, names: Iterable[str], remedy: str) -> None:
     for name in names:
         if getattr(options, name) != getattr(type(options), name):
             raise ValueError(f"--{name.replace('_', '-')} {remedy}")
+
+
+def refuse_others(options: Any, heeded: Collection[str], remedy: str) -> None:
+    """Raise a ValueError, which ends in ``remedy``, for the first option that has not its default,
+    or is given of another dataclass, and is none of those ``heeded``.
+    """
+    for entry in fields(options):
+        value = getattr(options, entry.name)
+        if "part" in entry.metadata:
+            names = [*value]
+        else:
+            factory = entry.default_factory
+            default = entry.default if factory is MISSING else factory()
+            names = [] if value == default else [entry.name]
+        for name in names:
+            if name not in heeded:
+                raise ValueError(f"--{name.replace('_', '-')} {remedy}")

@@ -8,7 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from dynahoi_lerobot.core.agent import Actor, Agent
-from dynahoi_lerobot.core.arguments import given_of, number, option, refuse_given, whole
+from dynahoi_lerobot.core.arguments import (
+    given_of,
+    number,
+    option,
+    refuse_given,
+    refuse_others,
+    whole,
+)
 from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.features import ENVIRONMENT_STATE, EYE, TRUTH
@@ -43,11 +50,8 @@ from dynahoi_lerobot.world.batch import WorldBatch
 
 FOR_VLM = ("model", "prompt", "base_url", "request_timeout")
 """Options of vision-language models."""
-WITHOUT_REPLAY = (
-    "split", "out", "batch_size", "gifs", "per_kind", "device", "trust", "inference",
-    "inference_ms", *FOR_VLM,
-)  # fmt: skip
-"""Options without effect on a replay."""
+FOR_REPLAY = ("replay", "replay_seed", "episodes", "salt")
+"""Options of a replay, which else follows the result folder."""
 
 
 def _latency(text: str) -> float | None:
@@ -133,7 +137,9 @@ def run(options: Options) -> int:
     if options.replay_seed is not None and not options.replay:
         raise ValueError(f"--replay-seed {options.replay_seed} is for --replay RESULTS")
     if options.replay:
-        _refuse_ignored_in_replay(options)
+        refuse_others(options, FOR_REPLAY, "has no effect with --replay")
+        if options.episodes is not None and options.episodes < 1:
+            raise ValueError(f"--episodes must be 1 or more, got {options.episodes}")
         return replay_results.run(
             options.replay, options.given.get("salt", ""), options.episodes, options.replay_seed
         )
@@ -161,7 +167,7 @@ def run(options: Options) -> int:
         _refuse_missing_clips(options, earlier)
         seeds = _seeds(options, earlier.seeds)
         results = earlier if seeds else _finished(earlier)
-        asked = saved_extra(options.out).get(VLM, {})
+        asked = saved_extra(options.out).get(VLM, {}) if options.policy == VLM else {}
         for episodes in _played(options, recipe, actor, seeds, _batch_size(options, inference)):
             results = results.plus(episodes)
             report = actor.report()
@@ -188,16 +194,6 @@ def _added(before: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any]:
         elif type(now[name]) in (int, float):
             whole[name] = before[name] + now[name]
     return whole
-
-
-def _refuse_ignored_in_replay(options: Options) -> None:
-    """Refuse options that would have no effect on a replay, which follows the result folder."""
-    without = "has no effect with --replay"
-    refuse_given(options, WITHOUT_REPLAY, without)
-    for name in (options.given.keys() - {"salt"}) | {"set" for _ in options.set}:
-        raise ValueError(f"--{name.replace('_', '-')} {without}")
-    if options.episodes is not None and options.episodes < 1:
-        raise ValueError(f"--episodes must be 1 or more, got {options.episodes}")
 
 
 def _finished(results: Results) -> Results:

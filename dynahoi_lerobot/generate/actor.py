@@ -40,7 +40,9 @@ def open_policy(path: str, *, trust: bool = False) -> PolicyAgent:
             run code of its own, unless ``trust`` allows that.
     """
     if path in (EXPERT_ALIAS, *EXPERTS.names()):
-        raise PolicyError(f"an actor is a checkpoint, got the baseline {path!r}; --expert records")
+        raise PolicyError(
+            f"an actor is a checkpoint, got the baseline {path!r}; --expert NAME records one"
+        )
     if trust and not Path(path).is_dir():
         raise PolicyError(
             f"--trust needs a folder as the actor, got {path!r}; download the repository first"
