@@ -107,10 +107,10 @@ def _errors(eye: Eye, camera: Pinhole, shown: Snapshots) -> np.ndarray:
     place = torch.from_numpy(shown.place)
     sighting = eye(rearrange(torch.from_numpy(shown.images), "f h w c -> f c h w") / 255.0)
     sight = torch.nn.functional.normalize(place - camera.pos, dim=-1)
-    missed = camera.place(sighting[:, :3]) - place
+    missed = camera.unproject(sighting[:, :3]) - place
     along = (missed * sight).sum(-1, keepdim=True)
     across = (missed - along * sight).norm(dim=-1, keepdim=True)
-    inside = (camera.seen(place)[:, :2].abs() < 1).all(-1)
+    inside = (camera.project(place)[:, :2].abs() < 1).all(-1)
     distance = torch.from_numpy(shown.from_palm).norm(dim=-1, keepdim=True)
     return torch.cat([distance, along.abs(), across], dim=-1)[inside].numpy()
 

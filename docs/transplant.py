@@ -71,7 +71,7 @@ def draw_in_image(axes: Axes, policy: ObActPolicy, window: Window, hand: int, co
     camera = policy.model.forecaster.cameras[0]
     assert window.targets is not None
     last = until_catch(window, hand)
-    true = camera.seen(window.targets.path[hand, :last] - window.frames.palm[hand, :last])
+    true = camera.project(window.targets.path[hand, :last] - window.frames.palm[hand, :last])
     seen = window.frames.sightings[hand, :last, 0]
     axes.plot(true[:, 0], true[:, 1], color=TARGET, lw=1)
     axes.scatter(seen[:, 0], seen[:, 1], color=color, s=9)

@@ -54,8 +54,7 @@ FEATURES = {
 
 def window_of(policy: ObActPolicy, batch: dict[str, torch.Tensor]) -> Window:
     """The windows that a policy learns from, while inference takes no time."""
-    delay_frames = policy.config.embodiment.delay_frames
-    return Window.of(batch, policy.model, policy.targets, delay_frames)
+    return Window.of(batch, policy.model, policy.targets)
 
 
 def observation(config: PreTrainedConfig, n: int = 1, seed: int = 0) -> dict[str, torch.Tensor]:

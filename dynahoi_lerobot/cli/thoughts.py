@@ -61,7 +61,7 @@ def _camera(batch: WorldBatch, view: str, palm: np.ndarray) -> Pixel:
     origin = camera.pos_m + (palm if name == EGO_VIEW else 0.0)  # which the palm carries
 
     def pixel(place: np.ndarray) -> tuple[int, int] | None:
-        right, up, depth = camera.seen(place - origin)
+        right, up, depth = camera.project(place - origin)
         if depth < NEAREST_M:
             return None
         column, row = np.clip([1 + right, 1 - up], -FARTHEST, FARTHEST) * WIDTH_PX / 2

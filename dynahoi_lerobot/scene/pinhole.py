@@ -53,7 +53,7 @@ class Pinhole:
         focal = half / self.half_view
         return np.array([focal, focal, half, half])
 
-    def seen(self, offset_m: np.ndarray) -> np.ndarray:
+    def project(self, offset_m: np.ndarray) -> np.ndarray:
         """Return (..., 3) where a place is seen: to the right and upwards, both -1 to 1 within the
         image, and its depth [m].
 

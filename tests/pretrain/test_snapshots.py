@@ -34,7 +34,7 @@ def test_the_calibration_is_that_of_the_camera(tmp_path: Path, camera: str):
         np.arange(len(wanted)), sample_specs(replace(RECIPE, objects=("ball",)), range(len(wanted)))
     )
     state = batch.state + np.eye(18)[2] * 0.05
-    place = eye.origin(torch.from_numpy(state[:, :3])) + eye.place(wanted)
+    place = eye.origin(torch.from_numpy(state[:, :3])) + eye.unproject(wanted)
     pose = np.concatenate([place, np.tile((1.0, 0.0, 0.0, 0.0), (len(wanted), 1))], axis=1)
     batch.place(state, pose)
     seen = batch.cameras._renderer(camera).segmentation(np.arange(len(wanted)))

@@ -53,7 +53,7 @@ def test_camera_poses_follow_from_the_palm_by_a_fixed_transform(
 def test_a_camera_sees_places_where_its_intrinsics_say():
     camera = Pinhole.of(compile_scene("capsule").model, EGO_VIEW)
     ray = np.random.default_rng(0).uniform([-0.2, -0.2, -1.0], [0.2, 0.2, -0.3], (5, 3))
-    right, up, depth_m = camera.seen(ray @ camera.axes.T).T
+    right, up, depth_m = camera.project(ray @ camera.axes.T).T
     fx, fy, cx, cy = camera.intrinsics(96)
     np.testing.assert_allclose(depth_m, -ray[:, 2])
     np.testing.assert_allclose(48 * (1 + right), cx + fx * ray[:, 0] / depth_m)

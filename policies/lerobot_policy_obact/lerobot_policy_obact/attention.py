@@ -15,8 +15,8 @@ from .frames import gather_frames
 AGE_STEP_S = 0.05
 N_AGES = 128
 """A bias by age is learned at this many ages, this far apart, and interpolated between them: up to
-6.35 s, and the same for all that is older, which only policies that look back farther see, such as
-`obact_contact` with its 200 frames. Not tuned."""
+6.35 s, and the same for all that is older, which policies with a shorter history never see. Not
+tuned."""
 SAME_TIME_S = 1e-3
 """Frames whose times differ by less are of the same time; none is as fast."""
 REACH_CELLS = 2
@@ -83,13 +83,13 @@ class AgeBias(nn.Module):
         self.table = nn.Parameter(torch.zeros(n_heads, N_AGES))
 
     def forward(self, age_s: Tensor) -> Tensor:
-        """Map ages ``(Q, K)`` [s] to ``(heads, Q, K)``; frames that lie ahead count as new."""
-        place = (age_s / AGE_STEP_S).clamp(0, N_AGES - 1)
-        younger = place.floor().long().clamp_max(N_AGES - 2)
-        between = (place - younger)[..., None]  # linear interpolation
-        near = nn.functional.embedding(younger, self.table.T)
-        far = nn.functional.embedding(younger + 1, self.table.T)
-        return rearrange(torch.lerp(near, far, between), "q k heads -> heads q k")
+        """Map ages ``(Q, K)`` [s] to ``(heads, Q, K)``; negative ages use the bias of age 0."""
+        index = (age_s / AGE_STEP_S).clamp(0, N_AGES - 1)
+        lower = index.floor().long().clamp_max(N_AGES - 2)
+        share = (index - lower)[..., None]
+        younger = nn.functional.embedding(lower, self.table.T)
+        older = nn.functional.embedding(lower + 1, self.table.T)
+        return rearrange(torch.lerp(younger, older, share), "q k heads -> heads q k")
 
 
 class TemporalBlock(nn.Module):
@@ -143,19 +143,19 @@ class PositionReadout(nn.Module):
         positions: Tensor,
         age_s: Tensor,
         unseen: Tensor,
-        rows: Tensor,
+        decided_at: Tensor,
     ) -> tuple[Tensor, Tensor]:
         """Return positions ``(B, Q, J, 3)`` [m], and the weights of the frames in them, ``(B, Q, J,
         T)``.
 
         There are tokens ``(B, T, D)`` of T frames and positions ``(B, T, 3)`` [m] sighted in them;
         see `TemporalBlock.forward` for ``age_s`` and ``unseen``. Decisions are taken at frames
-        ``rows``, ``(B, Q)``.
+        ``decided_at``, ``(B, Q)``.
         """
-        queries = self.query(gather_frames(tokens, rows))
+        queries = self.query(gather_frames(tokens, decided_at))
         queries = rearrange(queries, "b q (j d) -> b q j d", j=self.n_points)
-        bias = rearrange(self.bias(age_s), "j t s -> t j s")[rows]  # (B, Q, J, T)
-        unseen = gather_frames(unseen, rows)
+        bias = rearrange(self.bias(age_s), "j t s -> t j s")[decided_at]  # (B, Q, J, T)
+        unseen = gather_frames(unseen, decided_at)
         bias = bias.masked_fill(unseen[:, :, None], float("-inf"))
         logits = einsum(queries, self.key(tokens), "b q j d, b s d -> b q j s") / KEY_DIM**0.5
         weights = (logits + bias).softmax(-1)

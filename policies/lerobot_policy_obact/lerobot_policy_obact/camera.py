@@ -62,19 +62,19 @@ class Pinhole(nn.Module):
         return cls(list(pose[:3]), [right, up, forward], half_view, carried=carried)
 
     def origin(self, palm: Tensor) -> Tensor:
-        """Return what positions count from when the palm is at ``(..., 3)`` [m], in the frame of
-        the state.
+        """Return the origin of positions when the palm is at ``(..., 3)`` [m], in the frame of the
+        state.
         """
         return palm if self.carried else torch.zeros_like(palm)
 
-    def place(self, seen: Tensor) -> Tensor:
+    def unproject(self, seen: Tensor) -> Tensor:
         """Map ``(u, v, log depth)`` to positions from the origin [m], world axes, ``(..., 3)``."""
         depth = self.unit_m * seen[..., 2:].clamp(*LOG_DEPTHS).exp()
         ray = torch.cat([self.half_view * seen[..., :2], torch.ones_like(depth)], dim=-1)
         return self.pos + depth * ray @ self.axes
 
-    def seen(self, place: Tensor) -> Tensor:
-        """Invert `place`."""
+    def project(self, place: Tensor) -> Tensor:
+        """Invert `unproject`."""
         local = (place - self.pos) @ self.axes.T
         depth = local[..., 2:].clamp_min(LEAST_DEPTH_M)
         return torch.cat(

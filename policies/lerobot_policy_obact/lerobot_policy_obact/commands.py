@@ -9,9 +9,9 @@ from torch import Tensor
 from .configuration_obact import Embodiment
 from .frames import palm_of, stepped
 
-STUCK_SHARE = 0.5
+STUCK_SHARE = 0.25
 """A palm that covered at most this share of its commanded way is stuck: one that obeys covers all
-of it, one that is stuck none."""
+of it, or half where frames come twice as often as ticks, and one that is stuck none."""
 LEAST_TOLD_M = 1e-3
 """A shorter commanded way decides nothing: a palm that hovers at its goal stands still, too."""
 
@@ -23,39 +23,41 @@ class CommandBuffer:
         self._embodiment = embodiment
         self._actions: dict[int, Tensor] = {}  # (B, A) each, in the order of ticks
 
-    def due(self, palms: Tensor, ticks: Sequence[int], inference_delay: int) -> Tensor:
+    def expected_palm(self, palms: Tensor, ticks: Sequence[int], inference_delay: int) -> Tensor:
         """Return where palms will be when the next command takes effect [m], ``(B, 3)``.
 
         Until then a palm goes where the commands send it that were given, but have no effect yet,
         in each tick as far as its speed allows. A palm that is stuck, as in an observation window,
-        stays: it did not go where the commands sent it that took effect since the frame before.
+        stays: it did not go where the commands sent it that took effect since the tick before.
 
         Args:
             palms: where they were in the last frames [m], ``(B, T, 3)``.
-            ticks: when those were seen, ``(T,)``.
+            ticks: when those were seen, ``(T,)``; a loop that is faster than the ticks sees several
+                frames in one.
             inference_delay: ticks until the next command is given.
         """
         palm = palms[:, -1]
-        if len(ticks) < 2:
-            return palm
-        before = palms[:, -2]
+        now = ticks[-1]
+        before = max((tick for tick in ticks if tick < now), default=None)
         delay = self._embodiment.delay_frames
-        executed = range(ticks[-2] - delay, ticks[-1] - delay)
-        if not self._actions.keys() & {*executed}:
+        if before is None or not any(tick < now - delay for tick in self._actions):
             return palm
-        due = self._followed(palm, range(ticks[-1] - delay, ticks[-1] + inference_delay))
-        told_m = (self._followed(before, executed) - before).norm(dim=-1)
-        moved_m = (palm - before).norm(dim=-1)
+        palm_before = palms[:, ticks.index(before)]
+        expected = self._followed(palm, range(now - delay, now + inference_delay))
+        told = self._followed(palm_before, range(before - delay, now - delay)) - palm_before
+        told_m = told.norm(dim=-1)
+        moved_m = (palm - palm_before).norm(dim=-1)
         stuck = (told_m > LEAST_TOLD_M) & (moved_m <= STUCK_SHARE * told_m)
-        return torch.where(stuck[:, None], palm, due)
+        return torch.where(stuck[:, None], palm, expected)
 
     def _followed(self, palm: Tensor, ticks: Iterable[int]) -> Tensor:
-        """Return where palms ``(B, 3)`` get [m] that follow the commands for some ticks."""
-        last = max(self._actions)  # after which a palm goes on to where that command sends it
+        """Return where palms ``(B, 3)`` get [m] that follow the commands for some ticks, each until
+        the next one.
+        """
         for tick in ticks:
-            action = self._actions.get(min(tick, last))
-            if action is not None:
-                palm = stepped(palm, palm_of(action), self._embodiment.step_m)
+            given = max((given for given in self._actions if given <= tick), default=None)
+            if given is not None:
+                palm = stepped(palm, palm_of(self._actions[given]), self._embodiment.step_m)
         return palm
 
     def give(self, chunk: Tensor, tick: int, inference_delay: int) -> Tensor:
@@ -72,12 +74,13 @@ class CommandBuffer:
         given = list(chunk.unbind(1))
         ready = min(inference_delay, len(given) - 1)
         effective = tick - self._embodiment.delay_frames
-        for old in [old for old in self._actions if not effective - 1 <= old < tick + ready]:
-            del self._actions[old]
-        if self._actions:
-            last = self._actions[max(self._actions)]
-            given[:ready] = [self._actions.get(tick + i, last) for i in range(ready)]
-        self._actions |= {tick + i: given[i] for i in range(ready, len(given))}
+        # `expected_palm` looks back to the command that was in effect a tick before
+        oldest = max((old for old in self._actions if old < effective), default=effective)
+        goes_on = {old: x for old, x in self._actions.items() if oldest <= old < tick + ready}
+        if goes_on:
+            last = goes_on[max(goes_on)]
+            given[:ready] = [goes_on.get(tick + i, last) for i in range(ready)]
+        self._actions = goes_on | {tick + i: action for i, action in enumerate(given)}
         return torch.stack(given, dim=1)
 
     def keep_rows(self, rows: Any) -> None:

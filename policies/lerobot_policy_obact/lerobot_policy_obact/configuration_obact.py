@@ -34,7 +34,7 @@ AT_LEAST = {
     "embodiment.delay_frames": 0,
     "embodiment.palm_speed_m_s": 0,
 }
-"""Options by the least that they may be."""
+"""Minimum value of each option."""
 HEADS: dict[str, type[ActionHead] | type[Gr00tHead]] = {"diffusion": ActionHead, "gr00t": Gr00tHead}
 CONTACT = "contact"
 """The rule of capture under which targets must be gripped; under all others the palm has to come
@@ -111,7 +111,7 @@ class ObActConfig(PreTrainedConfig):
     n_layers: int = 2  # temporal attention blocks
     n_heads: int = 4  # heads of each
     n_points: int = 12  # readouts whose values are the positions sighted, ``J``
-    width: int = 256  # size of the context that the head reads, ``C``
+    width: int = 256  # size of the context that the head reads
 
     n_hands: int = 2  # hands that are drawn for each window, see `windows`
     virtual_share: float = 0.8  # share of those that the policy leads; others are as recorded
@@ -229,8 +229,8 @@ class ObActConfig(PreTrainedConfig):
 
     @property
     def history_steps(self) -> int:
-        """Most frames on which a decision is based: as many as the last one sees that is learned in
-        a sample. Recorded actions are learned in the current frame alone.
+        """Frames that are kept in play: with a forecast, as many as the last decision in a sample
+        of the training sees, which is taken after ``n_future_steps``; otherwise `n_obs_steps`.
         """
         return self.n_obs_steps + (self.n_future_steps if self.forecasts else 0)
 

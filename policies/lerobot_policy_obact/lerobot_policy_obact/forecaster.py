@@ -75,8 +75,8 @@ class Forecast(Record):
     attention: Tensor  # weights of the T frames of the history in J readouts, (B, Q, J, T)
 
     def later(self, frames: int | Tensor) -> Forecast:
-        """Return the same forecast for times that count from so many ``frames``, one number or
-        ``(B, Q)``, later.
+        """Return the forecast shifted by ``frames``, one number or ``(B, Q)``: its first place is
+        the one that this forecast expects so many frames ahead.
         """
         weights = LATER.to(self.places)[torch.as_tensor(frames).clamp_max(len(LATER) - 1)]
         return replace(self, places=weights @ self.places)
@@ -119,13 +119,13 @@ class Forecaster(nn.Module):
         read = perceptron(dim + 3 * config.n_points, BEND_WIDTH, BEND_WIDTH)
         self.bend = nn.Sequential(read, nn.SiLU(), bend)
 
-    def forward(self, frames: Frames, rows: Tensor) -> Forecast:
-        """Return the forecast of decisions at frames ``rows`` ``(B, Q)``, each from the frames up
-        to its own.
+    def forward(self, frames: Frames, decided_at: Tensor) -> Forecast:
+        """Return the forecast of decisions at frames ``decided_at`` ``(B, Q)``, each from the
+        frames up to its own.
         """
         centers, rays = self.sighted(frames)
         position = fused(centers, rays, frames.sightings[..., 3:N_SIGHTING])
-        # where the target was seen in the episode's first frame
+        # in the oldest frame of the history or window; positions are relative to this one
         first = gather_frames(position, frames.hidden.int().argmin(1)[:, None])
         tokens = self.token(_inputs(frames.sightings, rays, position - first))
         age_s = frames.time_s[:, None] - frames.time_s  # (T, T), negative ahead
@@ -133,8 +133,8 @@ class Forecaster(nn.Module):
         for block in self.blocks:
             tokens = block(tokens, age_s, unseen)
         tokens = self.norm(tokens)
-        features = gather_frames(tokens, rows)
-        points, attention = self.readout(tokens, position - first, age_s, unseen, rows)
+        features = gather_frames(tokens, decided_at)
+        points, attention = self.readout(tokens, position - first, age_s, unseen, decided_at)
         places = self._places(features, points) + first[:, :, None]
         return Forecast(features, places, attention)
 
@@ -144,7 +144,8 @@ class Forecaster(nn.Module):
         """
         centers = [cam.origin(frames.palm) + cam.pos for cam in self.cameras]
         rays = [
-            cam.place(frames.sightings[:, :, i, :3]) - cam.pos for i, cam in enumerate(self.cameras)
+            cam.unproject(frames.sightings[:, :, i, :3]) - cam.pos
+            for i, cam in enumerate(self.cameras)
         ]
         return torch.stack(centers, dim=2), torch.stack(rays, dim=2)
 
@@ -166,7 +167,7 @@ def _inputs(sightings: Tensor, rays: Tensor, place: Tensor) -> Tensor:
     Args:
         sightings: see `Frames`.
         rays: from the cameras [m], ``(B, T, C, 3)``.
-        place: where they see the target, from where it was seen first [m], ``(B, T, 3)``.
+        place: where they see the target, relative to the oldest frame [m], ``(B, T, 3)``.
     """
     scales = sightings[..., 3:N_SIGHTING]
     by_camera = [

@@ -44,9 +44,9 @@ class Grip(Teacher):
     Recorded actions teach what to do once the target is in the hand.
     """
 
-    def hands(self, targets: Targets, due: Tensor, state: Tensor) -> Tensor:
+    def hands(self, targets: Targets, effect_at: Tensor, state: Tensor) -> Tensor:
         """See `Teacher.hands`; the fingers of some of the others are closed at random."""
-        hands = super().hands(targets, due, state)
+        hands = super().hands(targets, effect_at, state)
         others = hands[:, :, 1:]
         closed = torch.rand(*others.shape[:3], 1, device=hands.device)
         joints = torch.lerp(self.open_joints.to(hands), self.closed_joints.to(hands), closed)
@@ -55,10 +55,10 @@ class Grip(Teacher):
         others = torch.cat([others[..., :3], fingers], dim=-1)
         return torch.cat([hands[:, :, :1], others], dim=2)
 
-    def answer(self, targets: Targets, due: Tensor, hands: Tensor, horizon: int) -> Answers:
+    def answer(self, targets: Targets, effect_at: Tensor, hands: Tensor, horizon: int) -> Answers:
         """See `Teacher.answer`; every target can be reached."""
         palms = palm_of(hands)
-        frames = due[..., None] + torch.arange(horizon + 1, device=due.device)
+        frames = effect_at[..., None] + torch.arange(horizon + 1, device=effect_at.device)
         places = targets.places(frames)[:, :, None]  # (B, Q, 1, H + 1, 3)
         offsets = palms - places[..., 0, :]
         joints = hands[..., 3:]
@@ -81,7 +81,7 @@ class Grip(Teacher):
         return Answers(
             goal=torch.stack(goals, dim=3),
             closing=torch.stack(closing, dim=3).to(palms),
-            frames=left,
+            frames_left=left,
             reachable=torch.ones_like(left, dtype=torch.bool),
         )
 

@@ -65,7 +65,7 @@ class Denoiser(nn.Module):
         nn.init.zeros_(self.out.bias)
 
     def read(self, context: Tensor) -> Tensor:
-        """Embed contexts for `forward`, once for all times, ``(R, C) -> (R, W)``."""
+        """Embed contexts for `forward`, once for all times, ``(R, context) -> (R, W)``."""
         return self.context(context)
 
     def forward(self, chunk: Tensor, t: Tensor, read: Tensor) -> Tensor:
@@ -162,8 +162,8 @@ class ActionHead(nn.Module):
         return mean, log_scale.clamp(*LOG_SCALES)
 
     def loss(self, context: Tensor, actions: Tensor, weight: Tensor) -> Tensor:
-        """Return the loss of each row, ``(R,)``, for contexts ``(R, C)``, normalized actions ``(R,
-        H, A)`` and their weights, 0 for padding, ``(R, H)``.
+        """Return the loss of each row, ``(R,)``, for contexts ``(R, context)``, normalized actions
+        ``(R, H, A)`` and their weights, 0 for padding, ``(R, H)``.
         """
         mean, log_scale = self.regress(context)
         by_group = (actions - mean).split(self.groups, dim=-1)
@@ -187,7 +187,7 @@ class ActionHead(nn.Module):
         return torch.cat([scale.expand(-1, -1, size) for scale, size in scales], dim=-1)
 
     def sample(self, context: Tensor, tick: int) -> Tensor:
-        """Sample a chunk for every context, ``(R, C) -> (R, H, A)``.
+        """Sample a chunk for every context, ``(R, context) -> (R, H, A)``.
 
         ``n_draws`` chunks start from the noise of the tick, counted from the start of the episode.
         Of these, each entry of the first group takes the median, and of the other one the
@@ -203,7 +203,7 @@ class ActionHead(nn.Module):
 
     def denoise(self, context: Tensor, start: Tensor, n_steps: int) -> Tensor:
         """Return the chunks ``(R * N, H, A)`` that noise ``start`` ``(R * N, H, A)`` becomes in
-        contexts ``(R, C)``, N in each.
+        contexts ``(R, context)``, N in each.
         """
         mean, log_scale = self.regress(context)
         n = len(start) // max(1, len(context))

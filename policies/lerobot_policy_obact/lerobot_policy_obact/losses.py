@@ -47,25 +47,35 @@ def window_losses(model: ObActModel, window: Window, teacher: Teacher | None) ->
     targets = window.targets
     if teacher is None or targets is None:
         return {"action": recorded_loss(model, window)}
-    n_frames = window.recorded.shape[1]
-    delay = window.delay_frames
     first = first_decision(window, config.n_obs_steps)[:, None]
+    imitated_at = _imitated(model, window, targets, first)
+    rolled_at = first + torch.arange(config.n_future_steps, device=first.device)
+    # after the window's last frame, decisions are taken from the forecast of that frame
+    beyond = (rolled_at - (window.n_frames - 1)).clamp_min(0)
+    closes_loop = config.n_future_steps > 0 and config.closed_loop_weight > 0
+    decided_at = [imitated_at, rolled_at - beyond] if closes_loop else [imitated_at]
+    forecast = model.encode_history(window.frames, torch.cat(decided_at, dim=1))
+    imitated = forecast[:, : config.n_decisions]
+    losses = decision_losses(model, imitated, window, imitated_at, teacher)
+    if closes_loop:
+        rolled = forecast[:, config.n_decisions :].later(window.delay_frames + beyond)
+        losses["closed_loop"] = closed_loop_loss(model, rolled, window, rolled_at, teacher)
+    return losses
+
+
+def _imitated(model: ObActModel, window: Window, targets: Targets, first: Tensor) -> Tensor:
+    """Draw the frames of the decisions that are imitated, ``(B, Q)``, from the ``first`` ones on,
+    ``(B, 1)``.
+    """
+    config = model.config
     # the last one takes effect before the catch, in the window, and with two known frames of the
     # target's path, in which to meet it, still to come
-    last = torch.minimum(targets.catch, targets.length - 2).clamp_max(n_frames) - 1 - delay
-    spread = torch.rand(len(first), config.n_decisions, device=first.device)
-    rows = first + (spread * (last[:, None] - first + 1).clamp_min(0)).long()
-    rolled = first + torch.arange(config.n_future_steps, device=first.device)
-    beyond = (rolled - (n_frames - 1)).clamp_min(0)
-    plays = config.n_future_steps > 0 and config.closed_loop_weight > 0
-    decided = torch.cat([rows, rolled - beyond], dim=1) if plays else rows
-    forecast = model.encode_history(window.frames, decided)
-    losses = decision_losses(model, forecast[:, : config.n_decisions], window, rows, teacher)
-    if plays:
-        # after the window, from the forecast of its last frame
-        rolled_forecast = forecast[:, config.n_decisions :].later(delay + beyond)
-        losses["closed_loop"] = closed_loop_loss(model, rolled_forecast, window, rolled, teacher)
-    return losses
+    last = torch.minimum(targets.catch, targets.length - 2).clamp_max(window.n_frames)
+    last = last[:, None] - 1 - window.delay_frames
+    share = torch.rand(len(first), config.n_decisions, device=first.device)
+    drawn = first + (share * (last - first + 1).clamp_min(0)).long()
+    # a hand that grips the target learns the recorded actions, which are those of the current frame
+    return torch.where(targets.gripped[:, None], config.n_obs_steps - 1, drawn)
 
 
 def first_decision(window: Window, n_obs_steps: int) -> Tensor:
@@ -77,15 +87,15 @@ def first_decision(window: Window, n_obs_steps: int) -> Tensor:
     hidden = window.frames.hidden
     # where some are hidden, the first that is not is the episode's first
     earliest = torch.where(hidden.any(1), hidden.sum(1), earliest)
-    last = window.recorded.shape[1] - 1
+    last = window.n_frames - 1
     return torch.maximum(window.begin.clamp_max(last) - window.delay_frames, earliest)
 
 
 def recorded_loss(model: ObActModel, window: Window) -> Tensor:
     """Return the loss of the recorded actions in the current frames, ``(B,)``."""
     now = model.config.n_obs_steps - 1
-    rows = torch.full_like(window.begin, now)[:, None]
-    forecast = model.encode_history(window.frames, rows)[:, 0]
+    decided_at = torch.full_like(window.begin, now)[:, None]
+    forecast = model.encode_history(window.frames, decided_at)[:, 0]
     frames = window.frames
     context, origin = model.condition(forecast, frames.palm[:, now], frames.state[:, now])
     actions = model.normalize(window.actions, origin.detach())
@@ -96,26 +106,26 @@ def recorded_loss(model: ObActModel, window: Window) -> Tensor:
 
 
 def decision_losses(
-    model: ObActModel, forecast: Forecast, window: Window, rows: Tensor, teacher: Teacher
+    model: ObActModel, forecast: Forecast, window: Window, decided_at: Tensor, teacher: Teacher
 ) -> dict[str, Tensor]:
-    """Return the losses of decisions at frames ``rows`` ``(B, Q)`` by window, ``(B,)`` each: of
-    the forecast, and of the actions of M hands in place of each decision's own.
+    """Return the losses of decisions at frames ``decided_at`` ``(B, Q)`` by window, ``(B,)`` each:
+    of the forecast, and of the actions of M hands in place of each decision's own.
     """
     targets = window.targets
     delay = window.delay_frames
     assert targets is not None
-    last = window.recorded.shape[1] - 1
+    last = window.n_frames - 1
     # where the hand is when the decision takes effect, with the fingers that are read now
-    palm = gather_frames(window.frames.palm, (rows + delay).clamp_max(last))
-    state = gather_frames(window.frames.state, rows)
+    palm = gather_frames(window.frames.palm, (decided_at + delay).clamp_max(last))
+    state = gather_frames(window.frames.state, decided_at)
     state = torch.cat([palm, state[..., 3:]], dim=-1)
     # at the latest in the last frame but one that is known: a teacher looks a frame ahead
-    due = torch.minimum(rows + delay, targets.length[:, None] - 2)
+    effect_at = torch.minimum(decided_at + delay, targets.length[:, None] - 2)
     gripped = targets.gripped[:, None, None, None]
-    hands = torch.where(gripped, state[:, :, None], teacher.hands(targets, due, state))
-    answers = teacher.answer(targets, due, hands, model.config.horizon)
-    near = _nearness(answers.frames + delay, answers.reachable)
-    losses = {"forecast": forecast_loss(model, forecast.places, targets, rows, near)}
+    hands = torch.where(gripped, state[:, :, None], teacher.hands(targets, effect_at, state))
+    answers = teacher.answer(targets, effect_at, hands, model.config.horizon)
+    near = _nearness(answers.frames_left + delay, answers.reachable)
+    losses = {"forecast": forecast_loss(model, forecast.places, targets, decided_at, near)}
 
     n_windows, _, n_states = hands.shape[:3]
     repeated = forecast.later(delay).map(lambda x: repeat(x, "b q ... -> (b q m) ...", m=n_states))
@@ -124,7 +134,7 @@ def decision_losses(
     actions = torch.cat([answers.goal, teacher.joints(answers.closing)], dim=-1)
     weight = torch.where(answers.reachable, 1.0, UNREACHABLE_WEIGHT)
     # nothing is decided that would take effect after the catch
-    weight = weight * (rows + delay < targets.catch[:, None])[..., None]
+    weight = weight * (decided_at + delay < targets.catch[:, None])[..., None]
     weight = repeat(weight, "b q m -> b q m h", h=model.config.horizon)
     # a hand that grips the target goes on as it was recorded
     actions = torch.where(gripped[..., None], window.actions[:, None, None], actions).flatten(0, 2)
@@ -140,13 +150,13 @@ def decision_losses(
 
 
 def forecast_loss(
-    model: ObActModel, places: Tensor, targets: Targets, rows: Tensor, near: Tensor
+    model: ObActModel, places: Tensor, targets: Targets, decided_at: Tensor, near: Tensor
 ) -> Tensor:
-    """Return the loss of forecasts ``(B, Q, K, 3)`` [m] made at frames ``rows`` ``(B, Q)`` by
-    window, ``(B,)``; ``near`` says how much each time counts as one of the intercept, ``(B, Q,
+    """Return the loss of forecasts ``(B, Q, K, 3)`` [m] made at frames ``decided_at`` ``(B, Q)``
+    by window, ``(B,)``; ``near`` says how much each time counts as one of the intercept, ``(B, Q,
     K)``.
     """
-    index = rows[..., None] + torch.tensor(FORECAST_FRAMES, device=rows.device)
+    index = decided_at[..., None] + torch.tensor(FORECAST_FRAMES, device=decided_at.device)
     known = index < targets.length[:, None, None]
     error = ((places - targets.places(index)).square().sum(-1) + 1e-8).sqrt() * known
     anywhere = (error / FORECAST_ERROR.at(model.forecaster.ahead_s)).mean((1, 2))
@@ -167,23 +177,22 @@ def _nearness(frames: Tensor, reachable: Tensor) -> Tensor:
 
 
 def closed_loop_loss(
-    model: ObActModel, forecast: Forecast, window: Window, rows: Tensor, teacher: Teacher
+    model: ObActModel, forecast: Forecast, window: Window, decided_at: Tensor, teacher: Teacher
 ) -> Tensor:
     """Return the loss of each window, ``(B,)``, for palms that are rolled out through decisions at
-    frames ``rows`` ``(B, R)``, in the window or after it; the forecast counts from when these
+    frames ``decided_at`` ``(B, R)``, in the window or after it; time 0 of the forecast is when they
     take effect.
     """
     targets = window.targets
     delay = window.delay_frames
     assert targets is not None
-    device = rows.device
-    due = rows[:, :1] + delay + torch.arange(rows.shape[1] + 1, device=device)  # (B, R + 1)
+    after = torch.arange(decided_at.shape[1] + 1, device=decided_at.device)
+    effect_at = decided_at[:, :1] + delay + after  # (B, R + 1)
     # a palm passes the target between a frame and the next one, which must be known as well
-    known = due[:, :-1] < targets.length[:, None] - 1
-    path = gather_frames(targets.path, due.clamp_max(targets.path.shape[1] - 1))
-    last = window.recorded.shape[1] - 1
-    state = gather_frames(window.frames.state, due[:, :1].clamp_max(last))
-    palms = palm_of(rolled_out(model, forecast, state))
+    known = effect_at[:, :-1] < targets.length[:, None] - 1
+    path = gather_frames(targets.path, effect_at.clamp_max(targets.path.shape[1] - 1))
+    begin = effect_at[:, :1].clamp_max(window.n_frames - 1)
+    palms = palm_of(rolled_out(model, forecast, gather_frames(window.frames.state, begin)))
     misses = teacher.misses(palms - path)  # (B, R')
     known = known[:, : misses.shape[1]] & ~targets.gripped[:, None]
     least = misses.masked_fill(~known, torch.inf).amin(1)

@@ -23,13 +23,13 @@ from .frames import Frames, ObservationHistory, palm_of, stepped
 from .network import Batch, ObActModel
 from .threads import on_one_thread
 
-# what may read where the target is gets imported for training alone, where it is used, so that
-# nothing that acts can reach it
+# modules that can read where the target is are imported only by the functions that train, so that
+# what acts cannot reach them
 if TYPE_CHECKING:
     from .dataset import TargetTable
     from .forecaster import Forecast
 
-MOST_BRIGHT = 1.01  # of images in [0, 1], after a resize that overshoots
+OVERSHOOT = 0.01  # by which a resize may leave the range of images, [0, 1]
 TIMESTAMP = "timestamp"
 """Key of the time at which a frame was seen [s]."""
 
@@ -101,13 +101,13 @@ class ObActPolicy(PreTrainedPolicy):
         from .windows import VirtualHands, Window
 
         config = self.config
-        known = self.targets
-        window = Window.of(batch, self.model, known, self._drawn_delay())
-        if known is not None:
-            hands = VirtualHands(known.teacher, self.model)
+        table = self.targets
+        window = Window.of(batch, self.model, table, self._drawn_inference_delay())
+        if table is not None:
+            hands = VirtualHands(table.teacher, self.model)
             virtual_share = config.virtual_share if self.training else 0.0
             window = hands.drawn(window.repeated(config.n_hands), virtual_share)
-        losses = window_losses(self.model, window, known and known.teacher)
+        losses = window_losses(self.model, window, table and table.teacher)
         logged = {name: float(loss.detach().mean()) for name, loss in losses.items()}
         weights = {
             "forecast": config.forecast_weight,
@@ -115,24 +115,24 @@ class ObActPolicy(PreTrainedPolicy):
         }
         weighted = [weights.get(name, 1.0) * loss for name, loss in losses.items()]
         total = torch.stack(weighted).sum(0)
-        if known is not None:
-            weight = known.weight[batch["episode_index"].flatten().cpu()].to(total)
+        if table is not None:
+            weight = table.weight[batch["episode_index"].flatten().cpu()].to(total)
             total = total * weight.repeat_interleave(config.n_hands)
         if reduction == "none":
             return total.unflatten(0, (len(batch[ACTION]), -1)).mean(1), logged
         return total.mean(), logged
 
-    def _drawn_delay(self) -> int:
-        """Return after how many frames commands take effect in this step of the training: the
-        robot's own delay, plus that of an inference in `delayed_share` of the steps.
+    def _drawn_inference_delay(self) -> int:
+        """Return how many frames inference takes in this step of the training: 0, or, in
+        `delayed_share` of the steps, up to ``horizon - 1``. Recorded actions alone are learned as
+        if it took none.
         """
         config = self.config
-        delay_frames = config.embodiment.delay_frames
         # a share of 0 draws no random number, so that the others stay the same
         draws = self.training and config.horizon > 1 and config.delayed_share > 0
-        if draws and torch.rand(()) < config.delayed_share:
-            delay_frames += int(torch.randint(1, config.horizon, ()))
-        return delay_frames
+        if self.targets is None or not draws or torch.rand(()) >= config.delayed_share:
+            return 0
+        return int(torch.randint(1, config.horizon, ()))
 
     def get_optim_params(self) -> list[dict[str, Any]]:
         """Return parameter groups: weight decay for matrices and tables, none for vectors."""
@@ -161,7 +161,7 @@ class ObActPolicy(PreTrainedPolicy):
         """Forget the last episode."""
         self._actors: list[ObActModel] = []  # in a list, or PyTorch would save it with the weights
         self._history = ObservationHistory(self.config.history_steps, self.config.embodiment.fps)
-        self._stale = False  # whether the only frame is the last one of the episode before
+        self._stale = False  # whether the only frame seen is the last one of the episode before
         self._action_queue: deque[Tensor] = deque()
         self._commands = CommandBuffer(self.config.embodiment)
         self.decision: Decision | None = None  # the newest
@@ -180,7 +180,7 @@ class ObActPolicy(PreTrainedPolicy):
             self._see(batch, self._history.now_s + 1 / self.config.embodiment.fps)
         if not self._action_queue:
             config = self.config
-            # the last ones go on until the next chunk is ready
+            # and more, which are executed while the next chunk is computed
             n_actions = config.n_action_steps + config.inference_delay
             chunk = self._chunk(config.inference_delay, n_actions)
             self._action_queue.extend(chunk[:, : config.n_action_steps].unbind(1))
@@ -196,7 +196,9 @@ class ObActPolicy(PreTrainedPolicy):
         self._commands.keep_rows(rows)
         self._action_queue = deque(actions[rows] for actions in self._action_queue)
         if self._shown is not None:
-            self._shown = {key: values[rows] for key, values in self._shown.items()}
+            self._shown = {
+                key: x if key == TIMESTAMP else x[rows] for key, x in self._shown.items()
+            }
         return True
 
     @on_one_thread
@@ -262,15 +264,19 @@ class ObActPolicy(PreTrainedPolicy):
         return all(torch.equal(x, seen[key]) for key, x in shown.items())
 
     def _observed(self, batch: Batch) -> Batch:
-        """Return what a batch holds of a frame: state, images, and when it was seen, if it says."""
-        keys = (*self.config.state_keys, *self.config.cameras, TIMESTAMP)
-        return {key: torch.as_tensor(batch[key]) for key in keys if key in batch}
+        """Return what a batch holds of a frame: state, images, and when it was seen, if it says.
+
+        A batch has one clock: the ``timestamp`` of environment 0 is taken for all of them.
+        """
+        keys = (*self.config.state_keys, *self.config.cameras)
+        seen = {key: torch.as_tensor(batch[key]) for key in keys if key in batch}
+        if TIMESTAMP in batch:
+            seen[TIMESTAMP] = torch.as_tensor(batch[TIMESTAMP]).flatten()[0]
+        return seen
 
     def _see(self, batch: Batch, time_s: float) -> None:
         """Encode the newest frame and keep it; it was seen at ``time_s`` if the batch does not say
         when.
-
-        A batch has one clock: the ``timestamp`` of environment 0 is taken for all of them.
 
         Raises:
             ValueError: if an input is missing or has another shape or range than in training, if
@@ -289,10 +295,9 @@ class ObActPolicy(PreTrainedPolicy):
             )
         sightings = model.encode_images(batch, before)
         state = model.state_of(batch, sightings.shape[:1])
-        if TIMESTAMP in batch:
-            time_s = float(torch.as_tensor(batch[TIMESTAMP]).flatten()[0])
-        self._history.add(sightings, state, time_s)
-        self._shown = {key: x.clone() for key, x in self._observed(batch).items()}
+        shown = {key: x.clone() for key, x in self._observed(batch).items()}
+        self._history.add(sightings, state, float(shown.get(TIMESTAMP, time_s)))
+        self._shown = shown
 
     def _check_inputs(self, batch: Batch) -> None:
         """Refuse what the network would take for something else."""
@@ -314,9 +319,11 @@ class ObActPolicy(PreTrainedPolicy):
                     f"{key} is of {len(x)} environments, but must be of {len(batch[first])}, as "
                     f"{first} is."
                 )
-            if key in config.cameras and not (x.is_floating_point() and (x <= MOST_BRIGHT).all()):
+            in_range = (x >= -OVERSHOOT) & (x <= 1 + OVERSHOOT)
+            if key in config.cameras and not (x.is_floating_point() and in_range.all()):
                 raise ValueError(
-                    f"{key} is {x.dtype} up to {x.max():g}, but must be floating point in [0, 1]."
+                    f"{key} is {x.dtype} from {x.min():g} to {x.max():g}, but must be floating "
+                    "point in [0, 1]."
                 )
 
     def _chunk(self, inference_delay: int, n_actions: int) -> Tensor:
@@ -330,6 +337,7 @@ class ObActPolicy(PreTrainedPolicy):
             actions, origin = self._act_ahead(forecast, frames, inference_delay, n_actions)
         else:  # recorded actions were learned from where the palm is now
             actions, origin = self._decide(forecast, frames.palm[:, -1], frames.state[:, -1])
+            actions = actions[:, :n_actions]
         centers, rays = model.forecaster.sighted(frames)
         self.decision = Decision(
             sightings=frames.sightings[:, -1],
@@ -339,11 +347,11 @@ class ObActPolicy(PreTrainedPolicy):
             intercept=origin[:, 0],
             attention=forecast.attention,
         )
-        return self._commands.give(actions[:, :n_actions], self._history.ticks[-1], inference_delay)
+        return self._commands.give(actions, self._history.ticks[-1], inference_delay)
 
     def _decide(self, forecast: Forecast, palm: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the chunk that the head samples, ``(B, H, A)``, and the places from which its
-        actions count, ``(B, H, 3)``; see `ObActModel.condition`.
+        """Return the chunk that the head samples, ``(B, H, A)``, and the places that its actions
+        are relative to, ``(B, H, 3)``; see `ObActModel.condition`.
         """
         model = self._actor
         context, origin = model.condition(forecast, palm, state)
@@ -354,14 +362,14 @@ class ObActPolicy(PreTrainedPolicy):
         self, forecast: Forecast, frames: Frames, inference_delay: int, n_actions: int
     ) -> tuple[Tensor, Tensor]:
         """Return actions for the newest frame and those after it, ``(B, n_actions, A)``, and the
-        places from which those of the first decision count, ``(B, H, 3)``.
+        places that those of the first decision are relative to, ``(B, H, 3)``.
 
         As in the closed loop of the training, each is the first action of a decision of its own,
         from the forecast and the palm as of the frame in which it takes effect. The first decision
         is for the frame in which inference ends, and stands for those before.
         """
         embodiment = self.config.embodiment
-        palm = self._commands.due(frames.palm, self._history.ticks, inference_delay)
+        palm = self._commands.expected_palm(frames.palm, self._history.ticks, inference_delay)
         effective = inference_delay + embodiment.delay_frames
         decided = []
         for ahead in range(max(1, n_actions - inference_delay)):

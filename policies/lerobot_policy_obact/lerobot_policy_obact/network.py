@@ -4,6 +4,14 @@ encoders     find the target in the newest images (`encoders`)
 forecaster   attends to the observation history and forecasts the target (`forecaster`)
 condition    picks from the forecast where to meet it
 head         samples actions relative to that place (`heads`)
+
+Axes of tensors, in all modules:
+
+B   environments, or windows        T   frames of the history; L those of a window
+Q   decisions                       R   decisions of all environments, as rows
+M   hands for which one is taken    K   times of the forecast, `FORECAST_FRAMES`
+C   cameras                         J   positions read out
+H   actions of a chunk              A, S, D, E   entries of an action, state, token, embedding
 """
 
 from __future__ import annotations
@@ -61,6 +69,8 @@ class ObActModel(nn.Module):
         read = perceptron(n_inputs + N_FEATURES, config.width, config.width)
         self.trunk = nn.Sequential(read, nn.SiLU())
         if config.forecasts:
+            # logits over the times of the forecast, and, to grip, for each axis, also over the
+            # target's place and that of a palm that moves along
             n_weights = 3 * 2 * n_ahead if config.grips else n_ahead
             self.when = nn.Linear(config.width, config.horizon * n_weights)
         groups = [size for size in (self.n_relative, n_actions - self.n_relative) if size]
@@ -76,7 +86,7 @@ class ObActModel(nn.Module):
 
         def moment(name: str, keys: list[str]) -> Tensor:
             found = [torch.as_tensor(stats[key][name]).float().flatten() for key in keys]
-            return torch.cat([self.state_mean[:0], *found])
+            return torch.cat([self.state_mean[:0], *found])  # a robot may have no state
 
         keys = self.config.state_keys
         self.action_mean.copy_(moment("mean", [ACTION]))
@@ -115,23 +125,23 @@ class ObActModel(nn.Module):
             seen.append(encoder(image.flatten(0, -4)).unflatten(0, image.shape[:-3]))
         return torch.stack(seen, dim=-2)
 
-    def encode_history(self, frames: Frames, rows: Tensor | None = None) -> Forecast:
-        """Return the forecast of decisions at frames ``rows`` ``(B, Q)``; without ``rows``, of one
+    def encode_history(self, frames: Frames, decided_at: Tensor | None = None) -> Forecast:
+        """Return the forecast of decisions at frames ``decided_at`` ``(B, Q)``, by default of one
         at the last frame.
         """
-        if rows is None:
+        if decided_at is None:
             last = frames.state.shape[1] - 1
-            rows = torch.full((len(frames.state), 1), last, device=frames.state.device)
-        return self.forecaster(frames, rows)
+            decided_at = torch.full((len(frames.state), 1), last, device=frames.state.device)
+        return self.forecaster(frames, decided_at)
 
     def condition(self, forecast: Forecast, palm: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-        """Return what the head reads, ``(R, C)``, and the places from which its actions count [m],
-        ``(R, H, 3)``.
+        """Return what the head reads, ``(R, context)``, and the places that its actions are
+        relative to [m], ``(R, H, 3)``.
 
         Attention over the times of the forecast, whose values are positions, picks where to meet
         the target. To grip it, attention picks along each axis between the forecast and the places
-        of a palm that moves along with the target. Without a forecast the actions count from the
-        palm.
+        of a palm that moves along with the target. Without a forecast the actions are relative to
+        the palm.
 
         Args:
             forecast: of R decisions, ``(R, ...)``.
@@ -172,7 +182,7 @@ class ObActModel(nn.Module):
         return self.unnormalize(self.head.denoise(context, start, 1), origin)[:, 0]
 
     def normalize(self, actions: Tensor, origin: Tensor) -> Tensor:
-        """Map actions ``(R, H, A)`` to what the head predicts; they count from ``origin`` ``(R, H,
+        """Map actions ``(R, H, A)`` to what the head predicts, relative to ``origin`` ``(R, H,
         3)``.
         """
         return (actions - self._offset(origin)) / self.action_std

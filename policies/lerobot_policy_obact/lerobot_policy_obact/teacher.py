@@ -56,7 +56,7 @@ class Answers(NamedTuple):
 
     goal: Tensor  # where to go [m], (B, Q, M, H, 3)
     closing: Tensor  # how far the fingers should be closed, 0 open, 1 closed, (B, Q, M, H)
-    frames: Tensor  # about how many are left until the intercept, (B, Q, M)
+    frames_left: Tensor  # about how many there are until the intercept, (B, Q, M)
     reachable: Tensor  # whether the palm can be there in time, (B, Q, M)
 
 
@@ -73,17 +73,17 @@ class Teacher:
     step_m: float  # how far a palm gets in a frame [m]
     open_joints: Tensor  # of the hand [rad], (J,)
     closed_joints: Tensor  # of the hand [rad], (J,)
-    radius_m: float  # a target is caught where `misses` returns less [m]
+    radius_m: float  # within which a target is caught, as `misses` measures it [m]
 
-    def answer(self, targets: Targets, due: Tensor, hands: Tensor, horizon: int) -> Answers:
-        """Return what hands should do that are in states ``hands`` ``(B, Q, M, S)`` in frames
-        ``due`` ``(B, Q)``.
+    def answer(self, targets: Targets, effect_at: Tensor, hands: Tensor, horizon: int) -> Answers:
+        """Return what hands should do from frames ``effect_at`` ``(B, Q)`` on, in which they are in
+        states ``hands`` ``(B, Q, M, S)``.
 
         A palm that is in time nowhere goes where it misses by least.
         """
         palms = palm_of(hands)
-        ahead = torch.arange(1, LONGEST_FRAMES + 1, device=due.device)
-        frame = due[..., None] + ahead  # (B, Q, K)
+        ahead = torch.arange(1, LONGEST_FRAMES + 1, device=effect_at.device)
+        frame = effect_at[..., None] + ahead  # (B, Q, K)
         future = targets.places(frame)[:, :, None]  # (B, Q, 1, K, 3)
         known = (frame < targets.length[:, None, None])[:, :, None]
         distance = (future - palms[:, :, :, None]).norm(dim=-1)  # (B, Q, M, K)
@@ -94,12 +94,12 @@ class Teacher:
         planned = known & (distance - PLANNED_SPEED * self.step_m * ahead <= slack_m)
         reachable = possible.any(-1)
         possible = torch.where(planned.any(-1, keepdim=True), planned, possible)
-        frames = torch.where(reachable, possible.int().argmax(-1), short_m.argmin(-1)) + 1
-        chosen = repeat(frames - 1, "b q m -> b q m 1 i", i=3)
-        intercept = future.expand(-1, -1, palms.shape[2], -1, -1).gather(3, chosen)
-        left = frames[..., None] - torch.arange(horizon, device=due.device)
+        chosen = torch.where(reachable, possible.int().argmax(-1), short_m.argmin(-1))
+        intercept = torch.take_along_dim(future, chosen[..., None, None], dim=3)
+        frames_left = chosen + 1
+        left = frames_left[..., None] - torch.arange(horizon, device=effect_at.device)
         closing = ((CLOSED_FRAMES + CLOSING_FRAMES - left) / CLOSING_FRAMES).clamp(0, 1)
-        return Answers(intercept.expand(-1, -1, -1, horizon, -1), closing, frames, reachable)
+        return Answers(intercept.expand(-1, -1, -1, horizon, -1), closing, frames_left, reachable)
 
     def misses(self, offsets: Tensor) -> Tensor:
         """Return how far palms at ``offsets`` ``(B, R, 3)`` [m] from their targets are from
@@ -121,12 +121,12 @@ class Teacher:
         closed = self.closed_joints.to(closing)
         return torch.lerp(opened, closed, closing[..., None])
 
-    def hands(self, targets: Targets, due: Tensor, state: Tensor) -> Tensor:
+    def hands(self, targets: Targets, effect_at: Tensor, state: Tensor) -> Tensor:
         """Draw the states of four hands for each decision, ``(B, Q, 4, S)``: of the one that was in
-        ``state`` ``(B, Q, S)`` in frames ``due`` ``(B, Q)``, and of others with their palms near it
-        and near the target.
+        ``state`` ``(B, Q, S)`` in frames ``effect_at`` ``(B, Q)``, and of others with their palms
+        near it and near the target.
         """
-        place = targets.places(due[..., None])[:, :, 0]
+        place = targets.places(effect_at[..., None])[:, :, 0]
         palm = palm_of(state)
         base = torch.stack([palm, palm, palm, place], dim=2)
         # spread evenly over the orders of magnitude

@@ -46,18 +46,24 @@ class Window(Record):
 
     frames: Frames
     recorded: Tensor  # whether a frame was recorded, or LeRobot repeated one instead, (B, L)
-    actions: Tensor  # recorded from the current frame on, (B, H, A)
+    # recorded from the current frame on, or, with targets, from when inference has ended, (B, H, A)
+    actions: Tensor
     action_weight: Tensor  # of those, 0 for padding, (B, H)
     begin: Tensor  # the frame in which the hand may move, (B,)
     delay_frames: int  # from a frame until the command that is decided in it takes effect
     targets: Targets | None = None  # None if nothing is known of them
 
+    @property
+    def n_frames(self) -> int:
+        """Frames of each window, L."""
+        return self.recorded.shape[1]
+
     @classmethod
     def of(
-        cls, batch: Batch, model: ObActModel, known: TargetTable | None, delay_frames: int
+        cls, batch: Batch, model: ObActModel, table: TargetTable | None, inference_delay: int = 0
     ) -> Window:
         """Return the windows of a preprocessed batch, with the targets in them, if these are known
-        of the dataset.
+        of the dataset, while inference takes ``inference_delay`` frames.
         """
         # LeRobot delivers vectors of one entry as scalars
         actions = batch[ACTION].reshape(*batch[ACTION].shape[:2], -1)
@@ -65,14 +71,22 @@ class Window(Record):
         unpadded = torch.zeros(actions.shape[:2], dtype=torch.bool, device=actions.device)
         weight = (~batch.get(f"{ACTION}_is_pad", unpadded)).float()
         begin = torch.zeros(len(actions), dtype=torch.long, device=actions.device)
+        delay_frames = model.config.embodiment.delay_frames + inference_delay
         window = cls(frames, recorded, actions, weight, begin, delay_frames)
-        if known is None:
+        if table is None:
             return window
+        # what is decided in a frame is commanded after inference: recorded commands of that time
+        horizon = actions.shape[1]
+        commanded = torch.arange(horizon, device=actions.device) + inference_delay
+        loaded = commanded.clamp_max(horizon - 1)
+        actions, weight = actions[:, loaded], weight[:, loaded] * (commanded < horizon)
         episode = batch["episode_index"].flatten().cpu()
-        newest = batch["index"].flatten().cpu() - known.first_index[episode]
+        newest = batch["index"].flatten().cpu() - table.first_index[episode]
         offsets = model.config.observation_delta_indices
-        targets, begin = known.window(episode, newest, offsets, delay_frames)
-        window = replace(window, begin=begin, targets=targets)
+        targets, begin = table.window(episode, newest, offsets, delay_frames)
+        window = replace(
+            window, actions=actions, action_weight=weight, begin=begin, targets=targets
+        )
         return window.to(actions.device)
 
     def repeated(self, n: int) -> Window:
@@ -115,7 +129,9 @@ class VirtualHands:
 
     @torch.no_grad()
     def drawn(self, window: Window, virtual_share: float) -> Window:
-        """Return the windows with hands of which about ``virtual_share`` are virtual."""
+        """Return the windows with hands of which about ``virtual_share`` are virtual, unless they
+        hold the target already.
+        """
         targets = window.targets
         assert targets is not None
         gripped = targets.gripped
@@ -127,7 +143,7 @@ class VirtualHands:
 
     def _catch(self, window: Window) -> Tensor:
         """Return the frames in which hands have caught their targets, ``(B,)``; of those that do
-        not, the last one that is known.
+        not, the one after the last that is known.
         """
         targets = window.targets
         state = window.frames.state
@@ -143,7 +159,7 @@ class VirtualHands:
         """Return the states of the hands, ``(B, L, S)``: recorded, or led by what they would have
         seen along the recorded way.
         """
-        n = window.recorded.shape[1]
+        n = window.n_frames
         delay = window.delay_frames
         device = window.begin.device
         states = window.frames.state.clone()
@@ -152,8 +168,9 @@ class VirtualHands:
         spread_m = START_M * torch.rand(len(states), 1, 1, device=device) ** START_POWER
         states[..., :3] += elsewhere * spread_m * torch.randn(len(states), 1, 3, device=device)
         seen = self._with_state(window, errors, states).frames[led]
-        rows = torch.arange(max(0, n - 1 - delay), device=device).expand(len(seen.state), -1)
-        forecast = self.model.encode_history(seen, rows).later(delay)
+        decided_at = torch.arange(max(0, n - 1 - delay), device=device)
+        decided_at = decided_at.expand(len(seen.state), -1)
+        forecast = self.model.encode_history(seen, decided_at).later(delay)
         moves = (window.begin - delay)[led]  # the decision whose command first moves the hand
         states[led] = rolled_out(self.model, forecast, states[led, : delay + 1], begin=moves)
         return states
@@ -176,7 +193,7 @@ class RecordedErrors:
     def __init__(self, window: Window, cameras: list[Pinhole]) -> None:
         targets = window.targets
         recorded = window.recorded
-        n = window.recorded.shape[1]
+        n = window.n_frames
         assert targets is not None
         row = torch.arange(n, device=recorded.device)
         usable = recorded & ((row < targets.catch[:, None]) | targets.gripped[:, None])
@@ -229,7 +246,7 @@ def _views(cameras: list[Pinhole], place: Tensor, palm: Tensor) -> Tensor:
     """Return ``(u, v, log depth)`` by camera, ``(B, L, C, 3)``, of places seen from palms ``(B, L,
     3)`` [m].
     """
-    return torch.stack([camera.seen(place - camera.origin(palm)) for camera in cameras], dim=2)
+    return torch.stack([camera.project(place - camera.origin(palm)) for camera in cameras], dim=2)
 
 
 def _in_units(view: Tensor) -> Tensor:

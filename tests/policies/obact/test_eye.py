@@ -14,8 +14,10 @@ from tests.policies.obact.test_windows import camera
 
 def test_what_is_seen_and_places_are_inverse_and_u_grows_to_the_right_and_v_upwards():
     offset = torch.tensor([[0.1, 0.2, -0.1], [0.5, -0.3, 0.2], [0.02, 0.0, 0.03]])
-    torch.testing.assert_close(camera().place(camera().seen(offset)), offset, rtol=1e-4, atol=1e-5)
-    middle, right, above = camera().seen(
+    torch.testing.assert_close(
+        camera().unproject(camera().project(offset)), offset, rtol=1e-4, atol=1e-5
+    )
+    middle, right, above = camera().project(
         torch.tensor([[0.3, 0.03, 0.21], [0.3, -0.2, 0.21], [0.3, 0.03, 0.4]])
     )
     assert middle[:2].abs().max() < 1e-5
@@ -50,7 +52,7 @@ def squares(n: int, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
         for channel, value in enumerate((1.0, 0.0, 0.0, 1.0, 0.0, 0.0)):
             images[i, channel, y - half : y + half, x - half : x + half] = value
         seen[i] = torch.tensor([2 * x / 32 - 1, 1 - 2 * y / 32, 0.5 - half / 3])
-    return images, camera().place(seen)
+    return images, camera().unproject(seen)
 
 
 @pytest.mark.slow
@@ -61,7 +63,7 @@ def test_it_learns_where_a_square_is_and_says_how_sure_it_is():
     fit(eye.parameters(), lambda: sighting_loss(eye, camera(), images, offset).mean(), steps=150)
     images, offset = squares(64, seed=1)
     sighting = eye(images)
-    error = (camera().place(sighting[:, :3]) - offset).norm(dim=-1)
+    error = (camera().unproject(sighting[:, :3]) - offset).norm(dim=-1)
     assert error.median() < 0.05, "of squares at 0.3 to 0.7 m"
     assert sighting[:, 3].median() < -2, "it knows the direction to a tenth of half the view"
 

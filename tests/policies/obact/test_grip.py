@@ -14,11 +14,11 @@ from lerobot.utils.feature_utils import dataset_to_policy_features
 from lerobot_policy_obact import ObActConfig, ObActPolicy
 from lerobot_policy_obact.dataset import TargetTable
 from lerobot_policy_obact.forecaster import Forecast
-from lerobot_policy_obact.frames import stepped
+from lerobot_policy_obact.frames import Frames, stepped
 from lerobot_policy_obact.grip import GRIP_M, Grip
 from lerobot_policy_obact.losses import window_losses
 from lerobot_policy_obact.teacher import Targets, Teacher
-from lerobot_policy_obact.windows import VirtualHands
+from lerobot_policy_obact.windows import VirtualHands, Window
 from torch.utils.data import DataLoader
 
 from dynahoi_lerobot.encode import encode
@@ -53,12 +53,12 @@ def metadata(root: Path) -> LeRobotDatasetMetadata:
     return LeRobotDatasetMetadata("local/contact", root=root)
 
 
-def learner(root: Path) -> ObActPolicy:
+def learner(root: Path, **changes: object) -> ObActPolicy:
     meta = metadata(root)
     features = dataset_to_policy_features(meta.features)
     outputs = {"action": features.pop("action")}
     torch.manual_seed(0)
-    config = ObActConfig(**OPTIONS, input_features=features, output_features=outputs)
+    config = ObActConfig(**OPTIONS | changes, input_features=features, output_features=outputs)
     return ObActPolicy(config, dataset_stats=meta.stats, dataset_meta=meta).train()
 
 
@@ -199,6 +199,34 @@ def test_a_hand_that_grips_is_shown_as_it_was_and_learns_what_it_did(root: Path)
             losses[whose, name] = float(found["action"].mean())
     assert losses["held", "elsewhere"] > 2 * losses["held", "as recorded"]
     assert losses["free", "elsewhere"] == losses["free", "as recorded"], "the expert's labels"
+
+
+def test_a_hand_that_grips_learns_what_it_did_when_inference_ended(root: Path):
+    policy = learner(root)
+    batch = batch_of(policy, root)
+    window = Window.of(batch, policy.model, policy.targets, 3)
+    torch.testing.assert_close(window.actions[:, 0], batch["action"][:, 3])
+    torch.testing.assert_close(window.action_weight[:, 0], (~batch["action_is_pad"][:, 3]).float())
+    assert not window.action_weight[:, 1:].any(), "nothing later was loaded"
+
+
+def test_a_hand_that_grips_learns_in_the_current_frame_however_long_the_history(
+    root: Path, monkeypatch: pytest.MonkeyPatch
+):
+    policy = learner(root, n_obs_steps=120)
+    window = window_of(policy, batch_of(policy, root))
+    assert window.targets is not None
+    held = window[window.targets.gripped]
+    decided = []
+    encode_history = policy.model.encode_history
+
+    def noting(frames: Frames, decided_at: torch.Tensor) -> Forecast:
+        decided.append(decided_at)
+        return encode_history(frames, decided_at)
+
+    monkeypatch.setattr(policy.model, "encode_history", noting)
+    window_losses(policy.model, held, table_of(policy).teacher)
+    assert (decided[0][:, : policy.config.n_decisions] == 119).all()
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ from lerobot_policy_obact import ObActConfig, ObActPolicy, dataset
 from lerobot_policy_obact.commands import CommandBuffer
 from lerobot_policy_obact.configuration_obact import Embodiment
 from lerobot_policy_obact.encoders import SHIPPED
-from lerobot_policy_obact.frames import stepped
+from lerobot_policy_obact.frames import ObservationHistory, stepped
 from lerobot_policy_obact.teacher import LONGEST_FRAMES
 from safetensors.torch import load_file
 from torch.utils.data import DataLoader
@@ -317,7 +317,7 @@ def test_the_last_frame_of_a_window_is_taught_for_when_its_command_takes_effect(
     policy = learner(hand_root, n_obs_steps=1, n_future_steps=0)
     longest = int(policy.targets.length.argmax())
     assert policy.targets.length[longest] > LONGEST_FRAMES + policy.config.horizon
-    monkeypatch.setattr(policy, "_drawn_delay", lambda: policy.config.horizon - 1)
+    monkeypatch.setattr(policy, "_drawn_inference_delay", lambda: policy.config.horizon - 1)
     batch = batch_of(policy, hand_root)
     batch["episode_index"] = torch.full_like(batch["index"], longest)
     batch["index"] = policy.targets.first_index[batch["episode_index"]]
@@ -522,8 +522,9 @@ EGO = "observation.images.ego"
 @pytest.mark.parametrize(
     ("key", "change", "said"),
     [
-        (EGO, lambda x: 255 * x, r"float32 up to 25\d.*, but must be .* \[0, 1\]"),
-        (EGO, lambda x: (255 * x).byte(), r"uint8 up to 25\d, but must be"),
+        (EGO, lambda x: 255 * x, r"float32 from .* to 25\d.*, but must be .* \[0, 1\]"),
+        (EGO, lambda x: 2 * x - 1, r"float32 from -\d.* to \d.*, but must be .* \[0, 1\]"),
+        (EGO, lambda x: (255 * x).byte(), r"uint8 from \d+ to 25\d, but must be"),
         (EGO, lambda x: x.movedim(1, -1), r"\(2, 32, 32, 3\), .* \(B, 3, 32, 32\)"),
         (EGO, lambda x: x[:1], r"observation\.state is of 2 environments, .* 1, as"),
         (EGO, lambda x: x.numpy(), r"numpy.ndarray'>, but must be a tensor"),
@@ -622,7 +623,8 @@ def test_the_last_frame_of_the_episode_before_is_forgotten(monkeypatch):
     torch.testing.assert_close(torch.stack(stale[2:]), torch.stack(fresh))
 
 
-def test_rows_that_are_kept_act_as_with_those_that_are_dropped():
+@pytest.mark.parametrize("shape", [(), (1,)], ids=["a scalar", "a vector"])
+def test_rows_that_are_kept_act_as_with_those_that_are_dropped(shape: tuple[int, ...]):
     """The eye compares with the image before, and commands are under way."""
     robot = Embodiment(delay_frames=3, palm_speed_m_s=0.5, capture="attach")
     told = {"encoder": "eye", "freeze_encoder": True, "embodiment": robot}
@@ -637,6 +639,7 @@ def test_rows_that_are_kept_act_as_with_those_that_are_dropped():
             batch = step(policy, n=3, seed=i)
             if i > dropped_after:
                 batch = {key: values[rows] for key, values in batch.items()}
+            batch["timestamp"] = torch.full(shape, 0.05 * i)
             action = policy.select_action(batch)
             found.append(action if i > dropped_after else action[rows])
             if i == dropped_after:
@@ -746,8 +749,33 @@ def test_commands_on_their_way_count_unless_the_hand_is_held(
 ):
     commands = CommandBuffer(Embodiment(palm_speed_m_s=0.5, fps=20, delay_frames=1))
     commands.give(along_x(told), 0, 0)
-    expected = commands.due(along_x(palms), ticks, 0)
+    expected = commands.expected_palm(along_x(palms), ticks, 0)
     torch.testing.assert_close(expected, along_x([due])[:, 0], atol=1e-3, rtol=0)
+
+
+@pytest.mark.parametrize("rate_hz", [10, 20, 25, 40, 50, 60])
+def test_commands_on_their_way_count_at_any_rate_of_the_loop(rate_hz: int):
+    """Of a hand that goes where it was told, three ticks of 2.5 cm late."""
+    robot = Embodiment(palm_speed_m_s=0.5, fps=20, delay_frames=3)
+    commands = CommandBuffer(robot)
+    history = ObservationHistory(12, robot.fps)
+    leads = []
+    for frame in range(24):
+        now_s = frame / rate_hz
+        way = along_x([0.5 * max(0.0, now_s - robot.delay_frames / robot.fps)])
+        history.add(torch.zeros(1, 1, 5), way[:, 0], now_s)
+        expected = commands.expected_palm(history.frames().palm, history.ticks, 0)
+        leads.append(float((expected - way[:, 0])[0, 0]))
+        commands.give(along_x([9.0]), history.ticks[-1], 0)
+    assert leads[12:] == pytest.approx([0.075] * 12, abs=1e-3)
+
+
+def test_the_first_chunk_is_under_way_at_once_if_nothing_awaits_it():
+    """LeRobot executes what `select_action` returns, from its first action on."""
+    commands = CommandBuffer(Embodiment(palm_speed_m_s=0.5, fps=20))
+    commands.give(along_x([9.0] * 6), 0, 3)
+    expected = commands.expected_palm(along_x([0.0, 0.025]), [0, 1], 3)
+    torch.testing.assert_close(expected, along_x([0.1])[:, 0], atol=1e-3, rtol=0)
 
 
 def test_what_goes_on_while_a_chunk_is_awaited_is_for_the_same_ticks_if_nobody_looked_meanwhile():

@@ -59,7 +59,7 @@ def test_it_meets_the_target_at_the_first_point_in_reach_with_time_to_spare_if_t
         )
         assert bool(told.reachable[b, q, m]) == (found is not None)
         if found is not None:
-            assert int(told.frames[b, q, m]) == (calm or found)
+            assert int(told.frames_left[b, q, m]) == (calm or found)
             assert torch.equal(told.goal[b, q, m, 0], path[b, int(due[b, q]) + (calm or found)])
 
 
@@ -76,7 +76,7 @@ def test_out_of_reach_it_goes_where_it_is_the_least_late(
     path = torch.tensor([start_m, 0, 0]) + torch.arange(40)[:, None] * torch.tensor([speed_m, 0, 0])
     told = answers(path[None], torch.tensor([[due]]), torch.zeros(1, 1, 1, 3))
     assert not told.reachable.any()
-    assert int(told.frames) == frames
+    assert int(told.frames_left) == frames
 
 
 def test_the_radius_is_that_of_the_rule_of_capture():

@@ -52,7 +52,7 @@ def windows(
     full = torch.full((b,), n)
     targets = Targets(path, full, full, torch.zeros(b, dtype=torch.bool))
     state = torch.zeros(b, length, 18)
-    view = camera().seen(path[:, :length]) + error
+    view = camera().project(path[:, :length]) + error
     sightings = torch.cat([view, torch.full((b, length, 2), -2.0)], dim=-1)[:, :, None]
     hidden = torch.zeros(b, length, dtype=torch.bool)
     frames = Frames(sightings, state, torch.arange(length) / 20.0, hidden)
@@ -90,7 +90,7 @@ def seen_from(palm: torch.Tensor, window: Window) -> torch.Tensor:
 
 def view_from(palm: torch.Tensor, window: Window) -> torch.Tensor:
     """Where their targets truly are in the view, (B, L, 3)."""
-    return camera().seen(window.targets.path[:, :LENGTH] - palm)
+    return camera().project(window.targets.path[:, :LENGTH] - palm)
 
 
 def test_from_another_palm_the_true_view_is_seen_with_the_error_of_the_same_frame():

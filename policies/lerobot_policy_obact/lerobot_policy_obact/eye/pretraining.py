@@ -55,13 +55,13 @@ def sighting_loss(eye: Eye, camera: Pinhole, images: Tensor, place: Tensor) -> T
     sighting, heat = eye.look(images)
     seen = sighting[:, :3]
     scales = sighting[:, 3:5]
-    true = camera.seen(place)
+    true = camera.project(place)
     across = (seen[:, :2] - true[:, :2]).square().sum(-1).add(1e-8).sqrt()
     along = (seen[:, 2] - true[:, 2]).abs()
     error = torch.stack([across, along], dim=-1)  # (F, 2)
     likelihood = (error * (-scales).exp() + scales * scales.new_tensor([2.0, 1.0])).sum(-1)
     unit_m = ERROR_M + ERROR_SHARE * place.norm(dim=-1)
-    metric = ((camera.place(seen) - place).norm(dim=-1) / unit_m).clamp_max(LARGEST_ERROR)
+    metric = ((camera.unproject(seen) - place).norm(dim=-1) / unit_m).clamp_max(LARGEST_ERROR)
     found = HEAT_WEIGHT * _heat_loss(heat, true)
     return found + LIKELIHOOD_WEIGHT * likelihood + across + along + metric
 

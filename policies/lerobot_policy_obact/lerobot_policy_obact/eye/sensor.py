@@ -75,4 +75,4 @@ class EyeSensor:
         camera = Pinhole.from_pose(
             [*map(float, pose)], float(center_px / focal_px), carried=carried
         )
-        return camera.place(torch.from_numpy(sightings[:, :3])).numpy()
+        return camera.unproject(torch.from_numpy(sightings[:, :3])).numpy()
