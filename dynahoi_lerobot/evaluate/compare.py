@@ -137,15 +137,15 @@ def command_distances_cm(a: Results, b: Results) -> np.ndarray:
     that both played.
 
     Each is a mean over the control frames that both have: an episode ends once its target is
-    localized.
+    localized. One without such frames is left out.
     """
     means = []
     for i, j in _both_played(a, b):
-        frames = slice(a.rows[i]["window_frames"], min(len(a.actions[i]), len(b.actions[j])))
-        apart_m = np.linalg.norm(
-            a.actions[i][frames, :PALM_DOF] - b.actions[j][frames, :PALM_DOF], axis=1
-        )
-        means.append(100 * apart_m.mean())
+        begin = a.rows[i]["window_frames"]  # as B's
+        end = min(len(a.actions[i]), len(b.actions[j]))
+        if begin < end:
+            palms_m = (actions[begin:end, :PALM_DOF] for actions in (a.actions[i], b.actions[j]))
+            means.append(100 * np.linalg.norm(np.subtract(*palms_m), axis=1).mean())
     return np.array(means, np.float64)
 
 

@@ -101,6 +101,7 @@ COLUMNS = (
     dict.fromkeys(TEXTS, "string")
     | dict.fromkeys(COUNTS, "int64")
     | {
+        "intercept": "string",
         "travel_u": "double",
         "grasp_rad": "double",
         "first_localized": "int64",
@@ -109,15 +110,19 @@ COLUMNS = (
     }
     | dict.fromkeys(STRATA, "string")
 )
-"""Arrow's type of every column except metrics. ``travel_u`` is in u (0.1 m),
+"""Arrow's type of every column except metrics. ``intercept`` is where the expert may meet the
+target, relative to the palm's start, "x y z" in 0.1 mm; ``travel_u`` is in u (0.1 m),
 ``grasp_rad`` the mean rotation of a joint from the open hand to the reference grasp,
 ``first_localized`` a frame."""
 METRIC_TYPE = "double"
 """Arrow's type of a metric's column, null where the metric does not apply. Types are explicit,
 because a column may hold nothing but nulls."""
 
-identity = itemgetter("split", "seed", "kind", "object", "length_frames")
-"""What two rows have in common if they are runs of the same episode."""
+identity = itemgetter(
+    "split", "seed", "kind", "object", "length_frames", "window_frames", "intercept"
+)
+"""What two rows have in common if they are runs of the same episode. A seed draws another path for
+another observation window or from other objects, often with the same object and length."""
 
 
 def measured(rows: Sequence[Row]) -> list[str]:
@@ -136,6 +141,7 @@ def episode_row(episode: Episode) -> Row:
     """
     return {
         **{name: getattr(episode.meta, name) for name in (*TEXTS, *COUNTS)},
+        "intercept": " ".join(str(round(1e4 * float(x))) for x in episode.intercept_pos_h),
         "travel_u": travel_u(episode),
         "grasp_rad": float(np.abs(episode.reference_joints - episode.open_joints).mean()),
         "first_localized": episode.first_localized,

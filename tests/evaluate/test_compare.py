@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
+from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.compare import (
     COMMANDS,
     CROSSABLE,
@@ -18,12 +19,18 @@ from dynahoi_lerobot.evaluate.compare import (
     paired_values,
     sign_flip,
 )
-from dynahoi_lerobot.evaluate.results import Results
+from dynahoi_lerobot.evaluate.results import Results, read_results
 from dynahoi_lerobot.sampling.recipe import COMPARED
 from dynahoi_lerobot.sampling.salt import stream_label
 from tests.synthetic import run_info
 
-IDENTITY = {"split": "test", "kind": "lob", "object": "ball", "length_frames": 40}
+IDENTITY = {
+    "split": "test",
+    "kind": "lob",
+    "object": "ball",
+    "length_frames": 40,
+    "intercept": "3000 0 -200",
+}
 
 
 def results(
@@ -90,6 +97,35 @@ def test_commands_are_as_far_apart_as_the_palms_in_the_control_frames_that_both_
         assert compare(other, a, COMMANDS) == found
 
 
+def test_an_episode_that_ends_with_its_window_has_no_commands_to_compare():
+    a = results([1.0, 1.0])
+    b = results([1.0, 1.0])
+    b = replace(b, actions=(b.actions[0], b.actions[1][:8]))  # the second ends with its window
+    b.actions[0][8:, :3] += (0.0, 0.03, 0.0)
+    found = compare(a, b, COMMANDS)
+    assert (found.n, found.value) == (1, pytest.approx(3.0))
+    assert compare(b, a, COMMANDS) == found
+
+
+def test_the_same_episodes_are_paired_and_others_of_the_same_seeds_are_not(tmp_path):
+    """By a baseline that does the same in the same episode."""
+
+    def played(name: str, *options: str) -> Results:
+        out = tmp_path / name
+        run = ("evaluate", "--policy", "pursuit", "--split", "val", "--episodes", "44")
+        assert main([*run, *options, "--out", str(out)]) == 0
+        return read_results(out)
+
+    everything = played("all")
+    fewer = compare(everything, played("ball", "--objects", "ball,cup,bottle"), COMMANDS)
+    assert fewer is not None
+    assert (fewer.value, fewer.high) == (0.0, 0.0)
+    direct = played("direct", "--protocol", "direct_act")
+    assert not len(paired_values(everything, direct, "S_loc")), "the paths depend on the window"
+    late = played("late", "--control-class", "late")
+    assert len(paired_values(everything, late, "S_loc")) == 44
+
+
 def test_only_the_same_episodes_are_paired():
     a = results([1.0, 2.0, 3.0], "E_loc")
     b = results([20.0, 30.0, 40.0], "E_loc", first_seed=1)
@@ -99,7 +135,13 @@ def test_only_the_same_episodes_are_paired():
 
 
 def test_a_seed_alone_does_not_make_a_pair_and_an_unknown_metric_is_named():
-    for change in ({"split": "val"}, {"kind": "bounce"}, {"object": "egg"}, {"length_frames": 41}):
+    for change in (
+        {"split": "val"},
+        {"kind": "bounce"},
+        {"object": "egg"},
+        {"length_frames": 41},
+        {"intercept": "3000 1 -200"},
+    ):
         assert compare(results([1.0]), results([1.0], **change), "S_loc") is None
     with pytest.raises(ValueError, match="S_lok"):
         compare(results([1.0], "S_lok"), results([1.0], "S_lok"), "S_lok")
