@@ -8,6 +8,8 @@ from typing import Any, Self
 import torch
 from torch import Tensor, nn
 
+from .layers import smooth_norm
+
 
 @dataclass(frozen=True)
 class Record:
@@ -128,5 +130,5 @@ def stepped(palm: Tensor, goal: Tensor, step_m: float) -> Tensor:
     ``step_m`` far.
     """
     left = goal - palm
-    reach = step_m / (left.square().sum(-1, keepdim=True) + 1e-10).sqrt()
-    return palm + left * reach.clamp_max(1.0)
+    reach = step_m / smooth_norm(left)
+    return palm + left * reach[..., None].clamp_max(1.0)

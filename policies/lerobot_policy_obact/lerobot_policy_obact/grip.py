@@ -20,6 +20,7 @@ from dynahoi_lerobot.experts.match import (
 )
 
 from .frames import palm_of
+from .layers import smooth_norm
 from .teacher import Answers, Targets, Teacher
 
 GRIP_M = 0.015
@@ -89,7 +90,7 @@ class Grip(Teacher):
         """See `Teacher.misses`: how far they are from where the target has its seat, on average
         while fingers close, or through all frames if there are fewer.
         """
-        apart = (self._from_seat(offsets).square().sum(-1) + 1e-10).sqrt()
+        apart = smooth_norm(self._from_seat(offsets))
         return apart.unfold(1, min(STILL_FRAMES, apart.shape[1]), 1).mean(-1)
 
     def caught(self, offsets: Tensor, joints: Tensor) -> Tensor:

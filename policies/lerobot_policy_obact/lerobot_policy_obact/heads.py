@@ -15,6 +15,8 @@ from einops import rearrange, repeat
 from lerobot.policies.common.flow_matching import euler_integrate
 from torch import Tensor, nn
 
+from .layers import smooth_norm
+
 NOISE_LEVELS = 2  # levels at which each action of a batch is denoised
 PURE_NOISE_SHARE = 0.5  # share of those at pure noise, where sampling begins
 # deviations are clipped to this many scales: an outlier would teach nothing but its own size
@@ -167,7 +169,7 @@ class ActionHead(nn.Module):
         """
         mean, log_scale = self.regress(context)
         by_group = (actions - mean).split(self.groups, dim=-1)
-        errors = torch.stack([e.square().sum(-1).add(1e-8).sqrt() for e in by_group], dim=-1)
+        errors = torch.stack([smooth_norm(e, 1e-8) for e in by_group], dim=-1)
         sizes = errors.new_tensor(self.groups).clamp_max(SCALE_SIZE)
         likelihood = errors * (-log_scale).exp() + sizes * log_scale
         likelihood = (likelihood * (BETA * log_scale).exp().detach()).mean(-1)  # (R, H)

@@ -1,8 +1,8 @@
-"""Layers that several parts of the network are built from."""
+"""What several parts of the network and its losses are built from."""
 
 from itertools import pairwise
 
-from torch import nn
+from torch import Tensor, nn
 
 
 def perceptron(*widths: int) -> nn.Sequential:
@@ -22,3 +22,10 @@ def conv(n_in: int, n_out: int, stride: int = 1) -> nn.Sequential:
         nn.GroupNorm(n_out // 8, n_out),
         nn.SiLU(inplace=True),
     )
+
+
+def smooth_norm(x: Tensor, least_square: float = 1e-10) -> Tensor:
+    """Return the length of vectors ``(..., D)``, ``(...)``, with a gradient also at 0, where it is
+    the root of ``least_square``.
+    """
+    return (x.square().sum(-1) + least_square).sqrt()

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from .forecaster import FORECAST_FRAMES, Forecast, GrowingUnit
 from .frames import gather_frames, palm_of
+from .layers import smooth_norm
 from .network import ObActModel, rolled_out
 from .teacher import Targets, Teacher
 from .windows import Window
@@ -143,7 +144,7 @@ def decision_losses(
     loss = model.head.loss(context, model.normalize(actions, origin.detach()), weight)
     losses["action"] = rearrange(loss, "(b n) -> b n", b=n_windows).mean(1)
     # by the place that was picked
-    missed = ((palm_of(actions) - origin).square().sum(-1) + 1e-8).sqrt()
+    missed = smooth_norm(palm_of(actions) - origin, 1e-8)
     missed = rearrange((missed * weight).mean(-1), "(b n) -> b n", b=n_windows)
     losses["missed"] = MISSED_WEIGHT * missed.mean(1)
     return losses
@@ -158,7 +159,7 @@ def forecast_loss(
     """
     index = decided_at[..., None] + torch.tensor(FORECAST_FRAMES, device=decided_at.device)
     known = index < targets.length[:, None, None]
-    error = ((places - targets.places(index)).square().sum(-1) + 1e-8).sqrt() * known
+    error = smooth_norm(places - targets.places(index), 1e-8) * known
     anywhere = (error / FORECAST_ERROR.at(model.forecaster.ahead_s)).mean((1, 2))
     return anywhere + INTERCEPT_WEIGHT * (error * near).sum(-1).mean(1)
 

@@ -14,6 +14,7 @@ from einops import repeat
 from torch import Tensor
 
 from .frames import Record, gather_frames, palm_of
+from .layers import smooth_norm
 
 LEAST_SPREAD_M = 0.004
 GREATEST_SPREAD_M = 0.15
@@ -144,4 +145,4 @@ def passing_distance(start: Tensor, end: Tensor) -> Tensor:
     """
     step = end - start
     share = (-(start * step).sum(-1) / step.square().sum(-1).clamp_min(1e-10)).clamp(0, 1).detach()
-    return ((start + share[..., None] * step).square().sum(-1) + 1e-10).sqrt()
+    return smooth_norm(start + share[..., None] * step)
