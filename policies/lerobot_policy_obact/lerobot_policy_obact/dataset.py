@@ -286,7 +286,8 @@ class TargetTable:
     weight: Tensor
     teacher: Teacher
     count: Tensor  # recorded frames, (E,)
-    track: Tensor | None = None  # where the target was recorded [m], (E, T, 3), if hands grip it
+    # of the recorded target, which a hand may have moved [m], (E, T, 3), if hands must grip it
+    recorded_path: Tensor | None = None
 
     @classmethod
     def of(cls, meta: Any, embodiment: Embodiment) -> TargetTable:
@@ -304,16 +305,17 @@ class TargetTable:
         paths = [torch.tensor(np.array(path, np.float32)) for path in constants[TARGET_PATH]]
         flags = torch.tensor(truth[LOCALIZED]).split(count.tolist())
         catch = torch.tensor([int((~caught).cumprod(0).sum()) for caught in flags])
+        # open ones are the same in all episodes
         open_joints, closed_joints = (
             torch.tensor(constants[name], dtype=torch.float32).quantile(CLOSED_QUANTILE, dim=0)
             for name in (OPEN_JOINTS, CLOSED_JOINTS)
         )
-        track = None
+        recorded_path = None
         if grips:
             catch += 1  # fingers that are told to close in a frame are closed in the next
             places = torch.tensor(np.array(truth[TARGET_POSE], np.float32)[:, :3])
-            tracks = list(places.split(count.tolist()))
-            track = torch.nn.utils.rnn.pad_sequence(tracks, batch_first=True)
+            recorded = list(places.split(count.tolist()))
+            recorded_path = torch.nn.utils.rnn.pad_sequence(recorded, batch_first=True)
         learned = count if grips else catch
         return cls(
             path=torch.nn.utils.rnn.pad_sequence(paths, batch_first=True),
@@ -324,7 +326,7 @@ class TargetTable:
             weight=learned.float().mean() / learned.clamp_min(1),
             teacher=_teacher_of(embodiment, open_joints, closed_joints),
             count=count,
-            track=track,
+            recorded_path=recorded_path,
         )
 
     def window(
@@ -346,11 +348,12 @@ class TargetTable:
         inside = torch.minimum(frame.clamp_min(0), length[:, None] - 1)
         path = self.path[episode[:, None], inside]
         gripped = torch.zeros_like(catch, dtype=torch.bool)
-        if self.track is not None:
+        if self.recorded_path is not None:
             gripped = newest >= catch
             length = torch.where(gripped, self.count[episode], length)
             inside = torch.minimum(frame.clamp_min(0), self.count[episode, None] - 1)
-            path = torch.where(gripped[:, None, None], self.track[episode[:, None], inside], path)
+            recorded = self.recorded_path[episode[:, None], inside]
+            path = torch.where(gripped[:, None, None], recorded, path)
         return Targets(path, length - first, catch - first, gripped), self.begin[episode] - first
 
 
