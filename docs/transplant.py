@@ -43,7 +43,7 @@ def windows(root: Path) -> tuple[ObActPolicy, Window, Window]:
     known = policy.targets
     assert known is not None
     batch = default_collate([dataset[int(known.first_index[EPISODE]) + CURRENT]])
-    window = Window.of(batch, policy.model, known, delay_frames=0)
+    window = Window.of(batch, policy.model, known)
     torch.manual_seed(0)
     virtual = VirtualHands(known.teacher, policy.model).drawn(window.repeated(HANDS), 1.0)
     return policy, window, virtual
