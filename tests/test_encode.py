@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lerobot.datasets.dataset_tools import delete_episodes
+from lerobot.datasets.dataset_tools import delete_episodes, modify_tasks
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
 from dynahoi_lerobot.core.image_sensor import image_sensor
@@ -82,6 +82,14 @@ def test_it_is_signed_anew(dataset: Path, encoded: Path):
     after = Manifest.read(encoded)
     assert after.provenance["encoded"] == {"sensor": "eye", "from": before.digest}
     assert (after.seeds, after.benchmark) == (before.seeds, before.benchmark)
+
+
+def test_what_has_changed_since_it_was_signed_is_not_signed_anew(dataset: Path, tmp_path: Path):
+    root = shutil.copytree(dataset, tmp_path / "d")
+    modify_tasks(LeRobotDataset("local/d", root=root), new_task="Catch it.")
+    said = dynahoi("encode", root, tmp_path / "out", code=2).err
+    assert "data/chunk-000/file-000.parquet has changed: its sha256 is not the manifest's" in said
+    assert [path.name for path in tmp_path.iterdir()] == ["d"]
 
 
 def test_verify_checks_what_is_left_of_it(encoded: Path, tmp_path: Path, capsys):
