@@ -94,9 +94,9 @@ def encode(
 
     Raises:
         FileExistsError: if ``output`` exists.
-        FileNotFoundError: if ``root`` holds no dataset of this project.
+        FileNotFoundError: if ``root`` holds no dataset.
         ValueError: if there is no such sensor, or no view of the dataset that it knows, or the
-            dataset's files are not those that its manifest lists.
+            dataset has no manifest, or other files than that lists.
     """
     from lerobot.datasets.dataset_tools import modify_features
 

@@ -77,6 +77,12 @@ def test_lerobot_s_tools_edit_it(encoded: Path, tmp_path: Path):
     assert kept.meta.total_episodes == source.meta.total_episodes - 1
 
 
+def test_one_without_manifest_is_said_to_be_of_another_tool(dataset: Path, tmp_path: Path):
+    delete_episodes(LeRobotDataset("local/d", root=dataset), [0], output_dir=tmp_path / "fewer")
+    said = dynahoi("encode", tmp_path / "fewer", tmp_path / "out", code=2).err
+    assert "fewer was written by another tool, such as lerobot-edit-dataset" in said
+
+
 def test_it_is_signed_anew(dataset: Path, encoded: Path):
     before = Manifest.read(dataset)
     after = Manifest.read(encoded)
