@@ -1,5 +1,6 @@
 import argparse
 import json
+import shlex
 
 import pytest
 
@@ -36,6 +37,14 @@ def test_generates_and_summarizes(tmp_path, capsys):
     assert told["megabytes"] == pytest.approx(
         sum(f.stat().st_size for f in root.rglob("*.*")) / 1e6, abs=0.1
     )
+
+
+def test_the_next_commands_can_be_pasted(tmp_path, capsys):
+    root = tmp_path / "my data"
+    assert run("--root", root, "--image-size", 0) == 0
+    look, check = capsys.readouterr().err.rpartition("next: ")[2].splitlines()
+    assert shlex.split(look)[:4] == ["dynahoi", "view", "--dataset", str(root)]
+    assert shlex.split(check) == ["dynahoi", "verify", str(root)]
 
 
 @pytest.mark.parametrize(("seconds", "files"), [(1e9, 1), (3, 2)])
