@@ -172,6 +172,17 @@ def test_a_column_that_is_there_is_not_added_again(with_state: Path, tmp_path: P
     assert "already has observation.environment_state; leave --environment-state out" in said
 
 
+def test_an_interruption_does_not_promise_to_resume(dataset: Path, tmp_path: Path, monkeypatch):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("dynahoi_lerobot.encode._sightings", stop)
+    assert (
+        dynahoi("encode", dataset, tmp_path / "out", code=130).err
+        == "dynahoi encode: interrupted\n"
+    )
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

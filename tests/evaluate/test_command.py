@@ -106,7 +106,8 @@ def test_a_policy_that_samples_gives_the_same_rows_when_it_is_interrupted(
 
     monkeypatch.setattr(Results, "write", killed)
     for code in (130, 130, 0):
-        dynahoi(*words, tmp_path / "resumed", code=code)
+        said = dynahoi(*words, tmp_path / "resumed", code=code).err
+        assert ("; run the same command to resume" in said) == (code == 130)
     assert saves == [2, 4, 5]
     whole, resumed = (read_results(tmp_path / name) for name in ("whole", "resumed"))
     assert resumed.rows == whole.rows

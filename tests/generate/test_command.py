@@ -67,7 +67,7 @@ def test_failure_and_interruption(tmp_path, capsys):
         raise OSError(28, "No space left on device")
 
     assert run("--root", tmp_path / "a", record=interrupted) == 130
-    assert "resume" in capsys.readouterr().err
+    assert "interrupted; run the same command to resume" in capsys.readouterr().err
     assert run("--root", tmp_path / "b", record=full) == 1
     assert "No space left" in capsys.readouterr().err
     assert run("--root", tmp_path / "a") == 0
