@@ -35,7 +35,7 @@ from dynahoi_lerobot.core.machine import cores
 from dynahoi_lerobot.core.reading import reading
 from dynahoi_lerobot.dataset import paths
 from dynahoi_lerobot.dataset.card import write_card
-from dynahoi_lerobot.dataset.manifest import ENCODED, Manifest, hash_files
+from dynahoi_lerobot.dataset.manifest import ENCODED, Manifest, file_problems, hash_files
 from dynahoi_lerobot.dataset.statistics import column_stats
 from dynahoi_lerobot.dataset.store import (
     Store,
@@ -94,8 +94,9 @@ def encode(
 
     Raises:
         FileExistsError: if ``output`` exists.
-        FileNotFoundError: if ``root`` holds no dataset of this project.
-        ValueError: if there is no such sensor, or no view of the dataset that it knows.
+        FileNotFoundError: if ``root`` holds no dataset.
+        ValueError: if there is no such sensor, or no view of the dataset that it knows, or the
+            dataset has no manifest, or other files than that lists.
     """
     from lerobot.datasets.dataset_tools import modify_features
 
@@ -114,6 +115,9 @@ def encode(
         )
     if environment_state and ENVIRONMENT_STATE in store.features:
         raise ValueError(f"{root} already has {ENVIRONMENT_STATE}; leave --environment-state out")
+    problem = next(file_problems(root, manifest), None)
+    if problem:
+        raise ValueError(f"{root} is not what it was when its manifest was written: {problem}")
     dataset = open_dataset(root)
     columns = _sightings(store, views)
     added: dict[str, Any] = {

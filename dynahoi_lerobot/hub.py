@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 from dynahoi_lerobot.core.arguments import CommandError, argument, option
 from dynahoi_lerobot.core.control_mode import JOINTS
 from dynahoi_lerobot.core.reading import read_object, reading
+from dynahoi_lerobot.core.working_folder import resumable
 from dynahoi_lerobot.dataset.manifest import Manifest
 from dynahoi_lerobot.dataset.paths import CARD_PATH, CODEBASE_VERSION, INFO_PATH, MANIFEST_PATH
 from dynahoi_lerobot.evaluate.actors import TRUST
@@ -114,7 +115,8 @@ def run(options: Options) -> int:
     push = KINDS[kind][1]
     try:
         repository = Repository.open(options.repo, "dataset" if kind == "dataset" else "model")
-        pushed = push(options, repository)
+        with resumable():
+            pushed = push(options, repository)
     except (CommandError, ValueError, ModuleNotFoundError):
         raise
     except Exception as error:  # whatever goes wrong on the Hub or on the way to it

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lerobot.datasets.dataset_tools import delete_episodes
+from lerobot.datasets.dataset_tools import delete_episodes, modify_tasks
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
 from dynahoi_lerobot.core.image_sensor import image_sensor
@@ -77,11 +77,25 @@ def test_lerobot_s_tools_edit_it(encoded: Path, tmp_path: Path):
     assert kept.meta.total_episodes == source.meta.total_episodes - 1
 
 
+def test_one_without_manifest_is_said_to_be_of_another_tool(dataset: Path, tmp_path: Path):
+    delete_episodes(LeRobotDataset("local/d", root=dataset), [0], output_dir=tmp_path / "fewer")
+    said = dynahoi("encode", tmp_path / "fewer", tmp_path / "out", code=2).err
+    assert "fewer was written by another tool, such as lerobot-edit-dataset" in said
+
+
 def test_it_is_signed_anew(dataset: Path, encoded: Path):
     before = Manifest.read(dataset)
     after = Manifest.read(encoded)
     assert after.provenance["encoded"] == {"sensor": "eye", "from": before.digest}
     assert (after.seeds, after.benchmark) == (before.seeds, before.benchmark)
+
+
+def test_what_has_changed_since_it_was_signed_is_not_signed_anew(dataset: Path, tmp_path: Path):
+    root = shutil.copytree(dataset, tmp_path / "d")
+    modify_tasks(LeRobotDataset("local/d", root=root), new_task="Catch it.")
+    said = dynahoi("encode", root, tmp_path / "out", code=2).err
+    assert "data/chunk-000/file-000.parquet has changed: its sha256 is not the manifest's" in said
+    assert [path.name for path in tmp_path.iterdir()] == ["d"]
 
 
 def test_verify_checks_what_is_left_of_it(encoded: Path, tmp_path: Path, capsys):
@@ -156,6 +170,17 @@ def test_a_column_that_is_there_is_not_added_again(with_state: Path, tmp_path: P
     monkeypatch.setattr("dynahoi_lerobot.encode._sightings", None)
     said = dynahoi("encode", root, tmp_path / "out", "--environment-state", code=2).err
     assert "already has observation.environment_state; leave --environment-state out" in said
+
+
+def test_an_interruption_does_not_promise_to_resume(dataset: Path, tmp_path: Path, monkeypatch):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("dynahoi_lerobot.encode._sightings", stop)
+    assert (
+        dynahoi("encode", dataset, tmp_path / "out", code=130).err
+        == "dynahoi encode: interrupted\n"
+    )
 
 
 @pytest.mark.parametrize(

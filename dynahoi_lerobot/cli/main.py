@@ -146,8 +146,8 @@ def exit_code(spoken: str, run: Callable[[], int]) -> int:
         except (OSError, CommandError) as error:
             sentence = _sentence(error)
             code = FAILED
-        except KeyboardInterrupt:
-            sentence = "interrupted; run the same command to resume"
+        except KeyboardInterrupt as error:
+            sentence = "; ".join(["interrupted", *map(str, error.args)])
             code = STOPPED
         print(f"{spoken}: {sentence}", file=sys.stderr)
         return code

@@ -60,8 +60,11 @@ def _held(folder: Path) -> Iterator[None]:
 def new_folder(target: Path) -> Iterator[Path]:
     """Give the path of a folder to be made, which is renamed to ``target`` at the end.
 
-    Whatever happens before the end, ``target`` does not exist. If somebody has made ``target``
-    meanwhile, theirs stays. What a killed process has left of the same folder is removed.
+    Whatever happens before the end, ``target`` does not exist. What a killed process has left of
+    the same folder is removed.
+
+    Raises:
+        FileExistsError: at the end, if somebody has made ``target`` meanwhile; theirs stays.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
     for left in target.parent.glob(f".{glob.escape(target.name)}.*.tmp"):
@@ -77,6 +80,9 @@ def new_folder(target: Path) -> Iterator[Path]:
         yield folder
         try:
             folder.rename(target)
-        except OSError:
-            if not target.is_dir():
+        except OSError as error:
+            if not target.exists():
                 raise
+            raise FileExistsError(
+                f"{target} was made by another process meanwhile and stays; choose a new folder"
+            ) from error

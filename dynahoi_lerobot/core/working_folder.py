@@ -24,6 +24,15 @@ def workspace_path(root: Path) -> Path:
 
 
 @contextmanager
+def resumable() -> Iterator[None]:
+    """Let the message of an interruption say that the same command goes on from there."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("run the same command to resume") from None
+
+
+@contextmanager
 def working_folder(path: Path, task: dict[str, Any]) -> Iterator[Path]:
     """Make a folder, or enter the folder of an interrupted run of the same task, given as JSON
     values, and hold its lock.
@@ -39,7 +48,7 @@ def working_folder(path: Path, task: dict[str, Any]) -> Iterator[Path]:
     path.mkdir(parents=True, exist_ok=True)
     _refuse_foreign(path)
     try:
-        with exclusive(path):
+        with resumable(), exclusive(path):
             _claim(path, task)
             try:
                 yield path

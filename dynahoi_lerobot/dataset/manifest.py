@@ -80,9 +80,14 @@ class Manifest:
         """Read it from below ``root``; ReadError if there is none, or it is not JSON of the
         schema.
         """
+        path = root / MANIFEST_PATH
+        if not path.exists():
+            raise ReadError(
+                f"{root} was written by another tool, such as lerobot-edit-dataset: "
+                f"{MANIFEST_PATH} is missing; name a dataset that `dynahoi generate` wrote"
+            )
         check_schema(root)
         types = get_type_hints(cls)
-        path = root / MANIFEST_PATH
         content = read_object(path, types)
         del content["schema"]
         unknown = sorted(content.keys() - types.keys())

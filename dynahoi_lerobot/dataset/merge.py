@@ -85,17 +85,14 @@ def copy_subset(root: Path, output: Path, episodes: Collection[int]) -> Manifest
 
     Raises:
         FileExistsError: if ``output`` exists.
-        FileNotFoundError: if ``root`` holds no dataset of this project.
-        ValueError: if no episode is kept, or one does not exist.
+        FileNotFoundError: if ``root`` holds no dataset.
+        ValueError: if no episode is kept, one does not exist, or another tool has written the
+            dataset.
     """
     store = Store(root)
     kept = set(episodes)
     if output.exists():
         raise FileExistsError(f"{output} exists; choose a new folder")
-    if not (root / MANIFEST_PATH).is_file():
-        raise FileNotFoundError(
-            f"{root} was not written by this project: {MANIFEST_PATH} is missing"
-        )
     manifest = Manifest.read(root)
     if not kept:
         raise ValueError("got no episodes to keep; a dataset needs at least one")

@@ -1,5 +1,6 @@
 """``dynahoi evaluate``: run a policy or an expert on a split and write the result folder."""
 
+import shlex
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -305,7 +306,7 @@ def _refuse_missing_clips(options: Options, earlier: Results) -> None:
             raise ValueError(
                 f"--gifs {options.gifs} comes too late: {folder} holds the episode of seed {seed} "
                 f"without a clip; leave it out, and draw clips with `dynahoi view --results "
-                f"{folder} --seed {seed} --out FILE.gif`"
+                f"{shlex.quote(str(folder))} --seed {seed} --out FILE.gif`"
             )
 
 

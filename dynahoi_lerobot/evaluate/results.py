@@ -4,6 +4,7 @@
 
 import io
 import json
+import shlex
 import sys
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -86,10 +87,10 @@ WEIGHTS = "weights"
 
 
 def command_line() -> str:
-    """Return the command line as results keep it: printable, its program without the folder, a salt
-    hidden.
+    """Return the command line as results keep it: printable, quoted for a shell, its program
+    without the folder, a salt hidden.
     """
-    return printable(" ".join([Path(sys.argv[0]).name, *without_salt(sys.argv[1:])]))
+    return printable(shlex.join([Path(sys.argv[0]).name, *without_salt(sys.argv[1:])]))
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ With ``--actor`` a policy moves the hand, and the expert labels its states.
 """
 
 import json
+import shlex
 import sys
 from dataclasses import MISSING, dataclass
 from functools import partial
@@ -125,8 +126,9 @@ def run(
     print(json.dumps(summary, indent=2))
     if options.json:
         options.json.write_text(json.dumps(summary, indent=2))
-    look = f"dynahoi view --dataset {options.root} --episode 0 --out episode.html"
-    print(f"next: {look}\n      dynahoi verify {options.root}", file=sys.stderr)
+    root = shlex.quote(str(options.root))
+    look = f"dynahoi view --dataset {root} --episode 0 --out episode.html"
+    print(f"next: {look}\n      dynahoi verify {root}", file=sys.stderr)
     return 0
 
 

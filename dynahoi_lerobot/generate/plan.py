@@ -155,12 +155,16 @@ class ShardMaker:
             return
         columns = (*plan.recording.recipe.rules.features, *privileged_features())
         options = (columns, plan.encoding, plan.limits)
-        with (
-            new_folder(target) as folder,
-            DatasetWriter(folder, *options, subtasks=plan.subtasks) as writer,
-        ):
-            tally = self._fill(shard, writer, tick)
-            writer.finish(plan.identity(), tally)
+        try:
+            with (
+                new_folder(target) as folder,
+                DatasetWriter(folder, *options, subtasks=plan.subtasks) as writer,
+            ):
+                tally = self._fill(shard, writer, tick)
+                writer.finish(plan.identity(), tally)
+        except FileExistsError:
+            if not target.is_dir():  # made by another process, with the same content
+                raise
 
     def _fill(
         self, shard: int, writer: DatasetWriter, tick: Callable[[], object]

@@ -61,9 +61,12 @@ def run(options: Options) -> int:
     """Serve the page until interrupted or all episodes are played; return the exit code.
 
     Raises:
+        FileExistsError: if the dataset to record exists.
         ValueError: for an unknown name, a folder that holds something else, or an address that is
             in use.
     """
+    if options.record and options.record.exists():
+        raise FileExistsError(f"{options.record} exists; choose a new folder")
     capture = options.given.get("capture", Rules.capture)
     actors = [make_actor(EXPERT_ALIAS, capture)]
     if options.policy:

@@ -13,6 +13,7 @@ from dynahoi_lerobot.core.arguments import option
 from dynahoi_lerobot.core.features import EYE
 from dynahoi_lerobot.core.image_sensor import sensor_training
 from dynahoi_lerobot.core.reading import parsed_yaml
+from dynahoi_lerobot.core.working_folder import resumable
 from dynahoi_lerobot.pretrain.recipe import read_recipe
 
 
@@ -54,8 +55,9 @@ def run(options: Options) -> int:
     if training.finished:
         print(f"{recipe.out}: already trained on all {recipe.images} images")
     try:
-        for line in training.run():
-            print(json.dumps(line), flush=True)
+        with resumable():
+            for line in training.run():
+                print(json.dumps(line), flush=True)
     except FloatingPointError as error:
         print(f"dynahoi pretrain: {error}; the last save is in {recipe.out}", file=sys.stderr)
         return 1

@@ -5,6 +5,7 @@ Appendix "Post-processing": an episode is an outlier if it leaves the robust ran
 the whole dataset.
 """
 
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -99,7 +100,8 @@ def find_outliers(root: Path, margin: float = MARGIN, column: str = "action") ->
     )
     if not np.isfinite([q01, q99]).all():
         raise ValueError(
-            f"{column} is often not finite, so it has no robust range; see `dynahoi verify {root}`"
+            f"{column} is often not finite, so it has no robust range; see "
+            f"`dynahoi verify {shlex.quote(str(root))}`"
         )
     low = q01 - margin * (q99 - q01)
     high = q99 + margin * (q99 - q01)

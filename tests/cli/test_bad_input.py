@@ -41,6 +41,7 @@ CASES = [
     ("filter DATASET --out x --drop=-1", "-1"),
     ("filter DATASET", "--out DIR"),
     ("filter DATASET --out .", ". exists"),
+    ("play --record . --image-size 0", ". exists"),
     ("filter DATASET --out x --drop 0 --margin 2", "--margin finds outliers"),
     ("view --dataset DATASET --seed 3 --out x.gif", "--seed has no effect with --dataset"),
     ("view --dataset DATASET --image-size 32 --out x.gif", "--image-size has no effect"),

@@ -75,11 +75,16 @@ def test_a_folder_appears_whole_or_not_at_all_and_the_first_of_two_wins(tmp_path
         (folder / "half").touch()
         raise RuntimeError
     assert not any(tmp_path.iterdir())
-    for name in ("first", "second"):
+
+    def make(*names: str) -> None:
         with new_folder(tmp_path / "d") as folder:
             folder.mkdir()
-            (folder / name).touch()
-            assert (tmp_path / "d").exists() == (name == "second")
+            (folder / names[0]).touch()
+            if names[1:]:
+                make(*names[1:])
+
+    with pytest.raises(FileExistsError, match="another process"):
+        make("second", "first")
     assert [path.name for path in tmp_path.rglob("*")] == ["d", "first"]
 
 
@@ -115,8 +120,9 @@ def test_what_a_killed_process_left_of_a_folder_is_removed_and_a_living_ones_is_
     )
     subprocess.run([sys.executable, "-c", code, str(tmp_path / "out")], check=False)
     assert len(list(tmp_path.iterdir())) == 1
-    with new_folder(tmp_path / "out") as first, new_folder(tmp_path / "out") as second:
-        assert sorted(tmp_path.iterdir()) == sorted([first.parent, second.parent])
-        for folder in (first, second):
-            folder.mkdir()
+    with new_folder(tmp_path / "out") as first:
+        with suppress(RuntimeError), new_folder(tmp_path / "out") as second:
+            assert sorted(tmp_path.iterdir()) == sorted([first.parent, second.parent])
+            raise RuntimeError
+        first.mkdir()
     assert list(tmp_path.iterdir()) == [tmp_path / "out"]

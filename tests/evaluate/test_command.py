@@ -70,14 +70,15 @@ def test_clips_are_of_the_first_episodes_of_the_split_whichever_end_first(tmp_pa
 
 
 def test_an_episode_that_was_played_without_a_clip_gets_none_in_silence(tmp_path: Path):
-    words = (*HOLD, "--motions=constant", "--image-size=32", "--out", tmp_path)
+    out = tmp_path / "my results"
+    words = (*HOLD, "--motions=constant", "--image-size=32", "--out", out)
     dynahoi(*words, "--episodes=1")
     said = dynahoi(*words, "--episodes=2", "--gifs=1", code=2).err
-    assert f"dynahoi view --results {tmp_path} --seed 0 --out FILE.gif" in said
-    assert len(read_results(tmp_path).rows) == 1
-    dynahoi("view", "--results", tmp_path, "--seed=0", "--out", tmp_path / "constant_0.gif")
+    assert f"dynahoi view --results '{out}' --seed 0 --out FILE.gif" in said
+    assert len(read_results(out).rows) == 1
+    dynahoi("view", "--results", out, "--seed=0", "--out", out / "constant_0.gif")
     dynahoi(*words, "--episodes=2", "--gifs=2")
-    assert len(list(tmp_path.glob("*.gif"))) == 2
+    assert len(list(out.glob("*.gif"))) == 2
 
 
 def test_what_is_played_by_another_control_mode_is_stored_as_a_word(tmp_path: Path):
@@ -106,7 +107,8 @@ def test_a_policy_that_samples_gives_the_same_rows_when_it_is_interrupted(
 
     monkeypatch.setattr(Results, "write", killed)
     for code in (130, 130, 0):
-        dynahoi(*words, tmp_path / "resumed", code=code)
+        said = dynahoi(*words, tmp_path / "resumed", code=code).err
+        assert ("; run the same command to resume" in said) == (code == 130)
     assert saves == [2, 4, 5]
     whole, resumed = (read_results(tmp_path / name) for name in ("whole", "resumed"))
     assert resumed.rows == whole.rows

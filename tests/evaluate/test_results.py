@@ -3,6 +3,7 @@ nothing.
 """
 
 import json
+import shlex
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,6 +20,7 @@ from dynahoi_lerobot.evaluate.compare import compare
 from dynahoi_lerobot.evaluate.results import (
     SCHEMA,
     Results,
+    command_line,
     kept_results,
     read_results,
 )
@@ -34,6 +36,12 @@ INFO = run_info(extra={"n_obs_frames": 5})
 
 
 EMPTY = {"value": None, "low": None, "high": None, "unit": "fraction", "n": 0}
+
+
+def test_the_command_can_be_pasted(monkeypatch: pytest.MonkeyPatch):
+    words = ["evaluate", "--policy", "hold", "--out", "my results"]
+    monkeypatch.setattr("sys.argv", ["/bin/dynahoi", *words])
+    assert shlex.split(command_line()) == ["dynahoi", *words]
 
 
 def episodes(count: int = 6):

@@ -1,5 +1,6 @@
 import argparse
 import json
+import shlex
 
 import pytest
 
@@ -38,6 +39,14 @@ def test_generates_and_summarizes(tmp_path, capsys):
     )
 
 
+def test_the_next_commands_can_be_pasted(tmp_path, capsys):
+    root = tmp_path / "my data"
+    assert run("--root", root, "--image-size", 0) == 0
+    look, check = capsys.readouterr().err.rpartition("next: ")[2].splitlines()
+    assert shlex.split(look)[:4] == ["dynahoi", "view", "--dataset", str(root)]
+    assert shlex.split(check) == ["dynahoi", "verify", str(root)]
+
+
 @pytest.mark.parametrize(("seconds", "files"), [(1e9, 1), (3, 2)])
 def test_a_view_has_one_video_file_unless_that_would_be_too_long(
     tmp_path, seconds: float, files: int
@@ -58,7 +67,7 @@ def test_failure_and_interruption(tmp_path, capsys):
         raise OSError(28, "No space left on device")
 
     assert run("--root", tmp_path / "a", record=interrupted) == 130
-    assert "resume" in capsys.readouterr().err
+    assert "interrupted; run the same command to resume" in capsys.readouterr().err
     assert run("--root", tmp_path / "b", record=full) == 1
     assert "No space left" in capsys.readouterr().err
     assert run("--root", tmp_path / "a") == 0

@@ -79,6 +79,16 @@ def test_a_shard_is_merged_before_all_are_made(workers, reference, tmp_path, mon
     assert same(reference, tmp_path / "d")
 
 
+def test_a_shard_that_two_processes_make_at_once_is_kept_from_one(tmp_path):
+    def record_twice(recording, seeds):
+        ShardMaker(plan(), tmp_path, recorder.record).make(0)
+        yield from recorder.record(recording, seeds)
+
+    maker = ShardMaker(plan(), tmp_path, record_twice)
+    maker.make(0)
+    assert maker.problem(0) is None
+
+
 def test_missed_slots_are_drawn_again(tmp_path):
     manifest = generate(plan(miss_every=4, seed=1), tmp_path / "d", record=recorder.record)
     assert {seed % REDRAW_STRIDE for seed in manifest.seeds} == set(range(1, 11))

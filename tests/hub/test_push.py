@@ -151,6 +151,14 @@ def test_an_interrupted_upload_goes_on(simulated: Path, hub: Hub):
     assert not sent & before
 
 
+def test_ctrl_c_says_that_an_upload_can_be_resumed(simulated: Path, hub: Hub, monkeypatch):
+    def stop(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("dynahoi_lerobot.hub.Repository.upload", stop)
+    refused("interrupted; run the same command to resume", simulated, "me/catching", code=130)
+
+
 def test_datasets_that_are_damaged_or_would_overwrite_something_else_are_refused(
     simulated, tmp_path, hub
 ):

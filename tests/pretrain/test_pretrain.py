@@ -16,6 +16,7 @@ from torch.utils.data import DataLoader
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.pretrain.recipe import read_recipe
+from tests.tools import dynahoi
 
 TINY_EYE = {"channels": 8, "fovea": 12}
 BATCH = 4
@@ -77,7 +78,7 @@ def test_a_run_that_was_killed_twice_ends_as_one_that_was_not(finished, tmp_path
     for update in (5, 2):  # two updates after the first save, then one before the second
         with monkeypatch.context() as patch:
             kill_at(patch, update)
-            assert main(words) == 130
+            assert "; run the same command to resume" in dynahoi(*words, code=130).err
         assert [line["images"] for line in log(tmp_path / "eye")] == [BATCH * SAVE_EVERY]
         assert not (tmp_path / "eye" / pretraining.WEIGHTS).exists()
     assert main(words) == 0

@@ -43,9 +43,13 @@ def test_nan_is_an_outlier_but_a_column_that_is_often_nan_has_no_range(tmp_path)
     ((episode, sentence),) = find_outliers(tmp_path / "many").items()
     assert episode == 1
     assert "action.palm_z.pos reaches nan" in sentence
-    write_episodes(tmp_path / "few", [first, second])
-    said = dynahoi("filter", tmp_path / "few", "--dry-run", code=2).err
-    assert "action is often not finite" in said
+    few = tmp_path / "a few"
+    write_episodes(few, [first, second])
+    said = dynahoi("filter", few, "--dry-run", code=2).err
+    assert (
+        f"action is often not finite, so it has no robust range; see `dynahoi verify '{few}'`"
+        in said
+    )
 
 
 def test_all_others_are_copied_and_lerobot_reads_them(with_outlier, tmp_path):

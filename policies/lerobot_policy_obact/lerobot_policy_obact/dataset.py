@@ -138,7 +138,8 @@ def _check_encoder(config: ObActConfig, meta: Any, provenance: dict[str, Any]) -
     if config.n_future_steps and not encoded:
         raise ValueError(
             f"n_future_steps is {config.n_future_steps}, but must be 0 for a dataset with images, "
-            "of which it would decode as many more: `dynahoi encode` turns them into sightings"
+            "of which it would decode as many more: give --policy.n_future_steps=0, or what "
+            "`dynahoi encode` makes of it"
         )
     whole = config.encoder == "eye" and not config.encoder_options.get("embedding")
     if encoded and not (whole and config.freeze_encoder):

@@ -264,7 +264,7 @@ RENAMED = {
 @pytest.mark.parametrize(
     ("root", "changes", "said"),
     [
-        ("image_root", {}, "n_future_steps is 24, but must be 0 .* `dynahoi encode`"),
+        ("image_root", {}, "must be 0 .* --policy.n_future_steps=0, or .* `dynahoi encode`"),
         ("hand_root", {"encoder": "conv", "freeze_encoder": None}, FOR_ITS_EYE),
         ("hand_root", {"freeze_encoder": False}, FOR_ITS_EYE),
         ("hand_root", EYE | {"encoder_options": {"channels": 8}}, OTHER_EYE),
