@@ -33,9 +33,10 @@ from dynahoi_lerobot.core.reading import (
     validated,
 )  # fmt: skip
 from dynahoi_lerobot.core.working_folder import working_folder
-from dynahoi_lerobot.evaluate.rows import COLUMNS, METRIC_TYPE, Row, episode_row, measured
+from dynahoi_lerobot.evaluate.rows import METRIC_TYPE, Row, episode_row, measured
 from dynahoi_lerobot.evaluate.summary import Estimate, Summary, summarize_by, summarize_rows, wilson
 from dynahoi_lerobot.metrics import METRICS
+from dynahoi_lerobot.metrics.columns import COLUMNS
 from dynahoi_lerobot.rollout.inference import SYNC
 from dynahoi_lerobot.rollout.loop import ActionLog
 from dynahoi_lerobot.rules import Rules

@@ -8,9 +8,9 @@ from itertools import product
 from dynahoi_lerobot.core.escaping import printable
 from dynahoi_lerobot.evaluate.compare import paired_difference, verdict
 from dynahoi_lerobot.evaluate.results import Results
-from dynahoi_lerobot.evaluate.rows import STRATA
 from dynahoi_lerobot.evaluate.summary import Estimate
 from dynahoi_lerobot.metrics import METRICS
+from dynahoi_lerobot.metrics.columns import STRATA
 
 MAIN_COLUMNS = (
     "S_loc",

@@ -11,7 +11,7 @@ from scipy.stats import binomtest
 from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.evaluate import summary
 from dynahoi_lerobot.evaluate.results import Results
-from dynahoi_lerobot.evaluate.rows import STRATA, episode_row
+from dynahoi_lerobot.evaluate.rows import episode_row
 from dynahoi_lerobot.evaluate.summary import Estimate, bootstrap, wilson
 from dynahoi_lerobot.evaluate.table import (
     MAIN_COLUMNS,
@@ -20,6 +20,7 @@ from dynahoi_lerobot.evaluate.table import (
     metrics_table,
     results_table,
 )
+from dynahoi_lerobot.metrics.columns import STRATA
 from dynahoi_lerobot.motions.base import CATEGORIES
 from tests.evaluate.test_compare import results as scored
 from tests.synthetic import run_info, synthetic_episode
