@@ -1,6 +1,6 @@
 """``dynahoi evaluate``: run a policy or an expert on a split and write the result folder."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import batched
@@ -27,6 +27,7 @@ from dynahoi_lerobot.evaluate.actors import AS_TRAINED, TRUST, VLM, make_actor, 
 from dynahoi_lerobot.evaluate.results import (
     Results,
     RunInfo,
+    finished,
     kept_results,
     read_results,
     saved_extra,
@@ -155,6 +156,7 @@ def run(options: Options) -> int:
             f"--inference {inference.mode} needs control_mode {JOINTS!r}, got "
             f"{recipe.rules.control_mode!r}"
         )
+    wanted = _seeds(options)
     info = RunInfo.begun(
         actor.name if options.policy == VLM else options.policy,
         recipe,
@@ -162,12 +164,14 @@ def run(options: Options) -> int:
         inference=inference.label,
         settings=options.set,
         privileged=actor.privileged,
+        episodes_asked=len(wanted),
     )
     with kept_results(options.out, info) as earlier:
         _refuse_missing_clips(options, earlier)
-        seeds = _seeds(options, earlier.seeds)
-        results = earlier if seeds else _finished(earlier)
+        seeds = [seed for seed in wanted if seed not in earlier.seeds]
         asked = saved_extra(options.out).get(VLM, {}) if options.policy == VLM else {}
+        info.extra.update({VLM: asked} if asked else {})
+        results = earlier if seeds else _finished(earlier)
         for episodes in _played(options, recipe, actor, seeds, _batch_size(options, inference)):
             results = results.plus(episodes)
             report = actor.report()
@@ -199,8 +203,8 @@ def _added(before: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any]:
 def _finished(results: Results) -> Results:
     """Return results of which nothing was left to play, as they are if they are whole."""
     with suppress(ReadError):
-        return read_results(results.folder)
-    results.write()  # the earlier run ended between the renaming of two files
+        return finished(read_results(results.folder))
+    results.write()  # the earlier run ended between the renaming of two files, or was to be longer
     return results
 
 
@@ -309,8 +313,8 @@ def _refuse_missing_clips(options: Options, earlier: Results) -> None:
             )
 
 
-def _seeds(options: Options, played: set[int]) -> list[int]:
-    """Return the seeds to play that are not among those ``played`` before."""
+def _seeds(options: Options) -> Sequence[int]:
+    """Return the seeds to play."""
     seeds = split_seeds(options.split)
     if options.episodes is not None:
         if not 1 <= options.episodes <= len(seeds):
@@ -319,7 +323,7 @@ def _seeds(options: Options, played: set[int]) -> list[int]:
                 f"{options.episodes}"
             )
         seeds = seeds[: options.episodes]
-    return [seed for seed in seeds if seed not in played]
+    return seeds
 
 
 def _played(

@@ -69,6 +69,7 @@ EXTRA_TYPES = {
     "settings": list[str] | None,
     "privileged": bool | None,
     "weights": dict[str, str] | None,
+    "episodes_asked": int,
     "surroundings": dict[str, Any],
     "vlm": dict[str, Any],
 }
@@ -103,10 +104,10 @@ class RunInfo:
         command: the exact command line.
         code: fingerprint of the code that played it.
         extra: further JSON values: ``privileged`` if who moved the hand saw the simulator's state,
-            ``inference`` and ``settings`` where inference took time or the policy's config was
-            changed, ``weights``, sha256 by the name of the file, those of an adapter's base model
-            under ``base/NAME``, and whatever a figure needs, such as ``n_obs_steps`` or
-            ``data_fraction``.
+            ``episodes_asked``, how many are to be played, ``inference`` and ``settings`` where
+            inference took time or the policy's config was changed, ``weights``, sha256 by the name
+            of the file, those of an adapter's base model under ``base/NAME``, and whatever a figure
+            needs, such as ``n_obs_steps`` or ``data_fraction``.
         benchmark: identifies the benchmark; scores of another one do not compare.
     """
 
@@ -350,6 +351,21 @@ def read_results(folder: Path) -> Results:
                 f"{folder} holds episodes of {name} {values[0]!r} and {values[1]!r}; {REMEDY}"
             )
     return Results(folder, info, tuple(rows), tuple(actions), head)
+
+
+def finished(results: Results) -> Results:
+    """Return results that hold every episode that was asked for.
+
+    Raises:
+        ReadError: if the evaluation is unfinished.
+    """
+    asked = results.info.extra.get("episodes_asked", 0)
+    if len(results.rows) < asked:
+        raise ReadError(
+            f"{results.folder} is unfinished, with {len(results.rows)} of {asked} episodes; "
+            f"{REMEDY}"
+        )
+    return results
 
 
 def _shown(value: Any) -> str:

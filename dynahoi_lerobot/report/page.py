@@ -96,8 +96,8 @@ def render_report(
     """Write the report of ``folders`` as one self-contained HTML page.
 
     Args:
-        folders: result folders; duplicates count once, and one that cannot be read is left out,
-            with a warning that says why.
+        folders: result folders; duplicates count once, and one that cannot be read or is
+            unfinished is left out, with a warning that says why.
         out: the file to write, or an existing folder in which ``report.html`` is written.
         across: conditions under which paired evaluations may differ, of ``CROSSABLE``.
         allow_version_mismatch: accept results of different benchmark versions.
@@ -106,7 +106,7 @@ def render_report(
         The path of the page.
 
     Raises:
-        ReadError: if none of the folders can be read.
+        ReadError: if all of the folders are left out.
         ValueError: if no folder is given, or for different versions of the benchmark, unless that
             is allowed.
     """

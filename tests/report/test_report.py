@@ -128,6 +128,7 @@ def unfinished(root: Path) -> list[Path]:
     edit_json(root / "older" / "metrics.json", schema=0)
     example_run(root / "begun", "p", 0.5, 4)
     (root / "begun" / "metrics.json").unlink()
+    example_run(root / "stopped", "p", 0.5, 4, episodes_asked=6)
     (root / "empty").mkdir()
     (root / "notes.txt").write_text("mine")
     return sorted(root.iterdir())
