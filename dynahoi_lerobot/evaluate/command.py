@@ -23,7 +23,14 @@ from dynahoi_lerobot.core.progress import progress_bar
 from dynahoi_lerobot.core.protocols import PROTOCOLS
 from dynahoi_lerobot.core.reading import ReadError
 from dynahoi_lerobot.evaluate import replay_results
-from dynahoi_lerobot.evaluate.actors import AS_TRAINED, TRUST, VLM, make_actor, playing_rules
+from dynahoi_lerobot.evaluate.actors import (
+    AS_TRAINED,
+    EXPERT_ALIAS,
+    TRUST,
+    VLM,
+    make_actor,
+    playing_rules,
+)
 from dynahoi_lerobot.evaluate.results import (
     Results,
     RunInfo,
@@ -146,8 +153,7 @@ def run(options: Options) -> int:
         )
     if options.gifs and not options.out:
         raise ValueError(f"--gifs {options.gifs} needs --out, the folder to write them to")
-    if options.policy != VLM:
-        refuse_given(options, FOR_VLM, f"is for --policy {VLM}, not {options.policy}")
+    _refuse_ignored(options)
     inference = Inference(options.inference, options.inference_ms)
     actor = _real_time(_actor(options), inference)
     recipe = Recipe.of(split=options.split, **playing_rules(options.given, actor))
@@ -187,6 +193,15 @@ def run(options: Options) -> int:
     if options.per_kind:
         print("\n" + kind_table(results).as_text())
     return 0
+
+
+def _refuse_ignored(options: Options) -> None:
+    """Refuse options that would have no effect on who plays."""
+    name = options.policy
+    if name != VLM:
+        refuse_given(options, FOR_VLM, f"is for --policy {VLM}, not {name}")
+    if name in (EXPERT_ALIAS, VLM, *EXPERTS.names()):
+        refuse_given(options, ["device"], f"is for a LeRobot policy, not {name}")
 
 
 def _added(before: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any]:
