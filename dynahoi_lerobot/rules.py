@@ -18,7 +18,7 @@ from dynahoi_lerobot.core.protocols import (
     PROTOCOLS,
     ControlClass,
 )
-from dynahoi_lerobot.core.registry import known
+from dynahoi_lerobot.core.registry import known, refuse_repeated
 from dynahoi_lerobot.hands import HANDS
 from dynahoi_lerobot.renderers import DEFAULT_RENDERER, RENDERERS
 from dynahoi_lerobot.renderers.views import OPTIONAL_VIEWS
@@ -89,9 +89,13 @@ class Rules:
         CAPTURES.check(self.capture)
         HANDS.check(self.hand_name)
         RENDERERS.check(self.renderer)
-        if len(set(self.views)) < len(self.views):
-            raise ValueError(f"each view may be named once, got {', '.join(self.views)}")
+        refuse_repeated("view", self.views)
         low, high = IMAGE_SIZES_PX
+        if self.views and not self.image_size:
+            raise ValueError(
+                f"image_size is 0, which gives no images of the views {', '.join(self.views)}; it "
+                f"must be {low} to {high}"
+            )
         if self.image_size and not low <= self.image_size <= high:
             raise ValueError(
                 f"image_size must be {low} to {high} pixels, or 0 for no camera, got "

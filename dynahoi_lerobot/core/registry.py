@@ -32,6 +32,12 @@ def known[T](noun: str, name: str, table: Mapping[str, T]) -> T:
     return table[name]
 
 
+def refuse_repeated(noun: str, names: Sequence[str]) -> None:
+    """Raise a ValueError if a name is listed more than once."""
+    if len(set(names)) < len(names):
+        raise ValueError(f"each {noun} may be named once, got {', '.join(names)}")
+
+
 def suggestion(name: str, names: Iterable[str]) -> str:
     """Return `` (did you mean '...'?)`` with the closest of ``names``, or nothing if none is."""
     close = difflib.get_close_matches(name, list(names), n=1)

@@ -1,7 +1,7 @@
 """``dynahoi evaluate``: run a policy or an expert on a split and write the result folder."""
 
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import batched
@@ -24,10 +24,18 @@ from dynahoi_lerobot.core.progress import progress_bar
 from dynahoi_lerobot.core.protocols import PROTOCOLS
 from dynahoi_lerobot.core.reading import ReadError
 from dynahoi_lerobot.evaluate import replay_results
-from dynahoi_lerobot.evaluate.actors import AS_TRAINED, TRUST, VLM, make_actor, playing_rules
+from dynahoi_lerobot.evaluate.actors import (
+    AS_TRAINED,
+    EXPERT_ALIAS,
+    TRUST,
+    VLM,
+    make_actor,
+    playing_rules,
+)
 from dynahoi_lerobot.evaluate.results import (
     Results,
     RunInfo,
+    finished,
     kept_results,
     read_results,
     saved_extra,
@@ -146,8 +154,7 @@ def run(options: Options) -> int:
         )
     if options.gifs and not options.out:
         raise ValueError(f"--gifs {options.gifs} needs --out, the folder to write them to")
-    if options.policy != VLM:
-        refuse_given(options, FOR_VLM, f"is for --policy {VLM}, not {options.policy}")
+    _refuse_ignored(options)
     inference = Inference(options.inference, options.inference_ms)
     actor = _real_time(_actor(options), inference)
     recipe = Recipe.of(split=options.split, **playing_rules(options.given, actor))
@@ -156,6 +163,7 @@ def run(options: Options) -> int:
             f"--inference {inference.mode} needs control_mode {JOINTS!r}, got "
             f"{recipe.rules.control_mode!r}"
         )
+    wanted = _seeds(options)
     info = RunInfo.begun(
         actor.name if options.policy == VLM else options.policy,
         recipe,
@@ -163,12 +171,14 @@ def run(options: Options) -> int:
         inference=inference.label,
         settings=options.set,
         privileged=actor.privileged,
+        episodes_asked=len(wanted),
     )
     with kept_results(options.out, info) as earlier:
         _refuse_missing_clips(options, earlier)
-        seeds = _seeds(options, earlier.seeds)
-        results = earlier if seeds else _finished(earlier)
+        seeds = [seed for seed in wanted if seed not in earlier.seeds]
         asked = saved_extra(options.out).get(VLM, {}) if options.policy == VLM else {}
+        info.extra.update({VLM: asked} if asked else {})
+        results = earlier if seeds else _finished(earlier)
         for episodes in _played(options, recipe, actor, seeds, _batch_size(options, inference)):
             results = results.plus(episodes)
             report = actor.report()
@@ -186,6 +196,15 @@ def run(options: Options) -> int:
     return 0
 
 
+def _refuse_ignored(options: Options) -> None:
+    """Refuse options that would have no effect on who plays."""
+    name = options.policy
+    if name != VLM:
+        refuse_given(options, FOR_VLM, f"is for --policy {VLM}, not {name}")
+    if name in (EXPERT_ALIAS, VLM, *EXPERTS.names()):
+        refuse_given(options, ["device"], f"is for a LeRobot policy, not {name}")
+
+
 def _added(before: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any]:
     """Return two accounts of one run as one: counts and seconds add up."""
     whole = {**before, **now}
@@ -200,8 +219,8 @@ def _added(before: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any]:
 def _finished(results: Results) -> Results:
     """Return results of which nothing was left to play, as they are if they are whole."""
     with suppress(ReadError):
-        return read_results(results.folder)
-    results.write()  # the earlier run ended between the renaming of two files
+        return finished(read_results(results.folder))
+    results.write()  # the earlier run ended between the renaming of two files, or was to be longer
     return results
 
 
@@ -310,8 +329,8 @@ def _refuse_missing_clips(options: Options, earlier: Results) -> None:
             )
 
 
-def _seeds(options: Options, played: set[int]) -> list[int]:
-    """Return the seeds to play that are not among those ``played`` before."""
+def _seeds(options: Options) -> Sequence[int]:
+    """Return the seeds to play."""
     seeds = split_seeds(options.split)
     if options.episodes is not None:
         if not 1 <= options.episodes <= len(seeds):
@@ -320,7 +339,7 @@ def _seeds(options: Options, played: set[int]) -> list[int]:
                 f"{options.episodes}"
             )
         seeds = seeds[: options.episodes]
-    return [seed for seed in seeds if seed not in played]
+    return seeds
 
 
 def _played(

@@ -13,14 +13,12 @@ from dynahoi_lerobot.evaluate.results import CONDITIONS, Results
 from dynahoi_lerobot.evaluate.rows import identity
 from dynahoi_lerobot.evaluate.summary import RESAMPLES, SEED, Estimate, bootstrap
 from dynahoi_lerobot.metrics import METRICS
+from dynahoi_lerobot.metrics.columns import COMMANDS
 from dynahoi_lerobot.sampling.salt import refuse_mixed_streams, refuse_to_mix
 
 CROSSABLE = tuple(name for name in CONDITIONS if name != "capture")
 """Conditions that may be compared: the same episodes, played under others. Each capture
 rule has metrics of its own."""
-
-COMMANDS = "commands"
-"""Compared beside the metrics: how far apart two evaluations command the palm."""
 
 SIGNIFICANT = 0.05
 """p-value below which a difference is marked; not corrected for the number of comparisons."""

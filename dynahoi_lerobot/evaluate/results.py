@@ -34,9 +34,10 @@ from dynahoi_lerobot.core.reading import (
     validated,
 )  # fmt: skip
 from dynahoi_lerobot.core.working_folder import working_folder
-from dynahoi_lerobot.evaluate.rows import COLUMNS, METRIC_TYPE, Row, episode_row, measured
+from dynahoi_lerobot.evaluate.rows import METRIC_TYPE, Row, episode_row, measured
 from dynahoi_lerobot.evaluate.summary import Estimate, Summary, summarize_by, summarize_rows, wilson
 from dynahoi_lerobot.metrics import METRICS
+from dynahoi_lerobot.metrics.columns import COLUMNS
 from dynahoi_lerobot.rollout.inference import SYNC
 from dynahoi_lerobot.rollout.loop import ActionLog
 from dynahoi_lerobot.rules import Rules
@@ -69,6 +70,7 @@ EXTRA_TYPES = {
     "settings": list[str] | None,
     "privileged": bool | None,
     "weights": dict[str, str] | None,
+    "episodes_asked": int,
     "surroundings": dict[str, Any],
     "vlm": dict[str, Any],
 }
@@ -103,10 +105,10 @@ class RunInfo:
         command: the exact command line.
         code: fingerprint of the code that played it.
         extra: further JSON values: ``privileged`` if who moved the hand saw the simulator's state,
-            ``inference`` and ``settings`` where inference took time or the policy's config was
-            changed, ``weights``, sha256 by the name of the file, those of an adapter's base model
-            under ``base/NAME``, and whatever a figure needs, such as ``n_obs_steps`` or
-            ``data_fraction``.
+            ``episodes_asked``, how many are to be played, ``inference`` and ``settings`` where
+            inference took time or the policy's config was changed, ``weights``, sha256 by the name
+            of the file, those of an adapter's base model under ``base/NAME``, and whatever a figure
+            needs, such as ``n_obs_steps`` or ``data_fraction``.
         benchmark: identifies the benchmark; scores of another one do not compare.
     """
 
@@ -350,6 +352,21 @@ def read_results(folder: Path) -> Results:
                 f"{folder} holds episodes of {name} {values[0]!r} and {values[1]!r}; {REMEDY}"
             )
     return Results(folder, info, tuple(rows), tuple(actions), head)
+
+
+def finished(results: Results) -> Results:
+    """Return results that hold every episode that was asked for.
+
+    Raises:
+        ReadError: if the evaluation is unfinished.
+    """
+    asked = results.info.extra.get("episodes_asked", 0)
+    if len(results.rows) < asked:
+        raise ReadError(
+            f"{results.folder} is unfinished, with {len(results.rows)} of {asked} episodes; "
+            f"{REMEDY}"
+        )
+    return results
 
 
 def _shown(value: Any) -> str:

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynahoi_lerobot.evaluate.rows import STRATA, Row
+from dynahoi_lerobot.evaluate.rows import Row
 from dynahoi_lerobot.metrics import METRICS, Metric
+from dynahoi_lerobot.metrics.columns import STRATA
 
 Z_95 = 1.959963984540054
 """Two-sided 95 % quantile of the standard normal distribution."""

@@ -1,5 +1,6 @@
 """Results as tables, which the terminal prints and the report shows."""
 
+import hashlib
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -8,9 +9,9 @@ from itertools import product
 from dynahoi_lerobot.core.escaping import printable
 from dynahoi_lerobot.evaluate.compare import paired_difference, verdict
 from dynahoi_lerobot.evaluate.results import Results
-from dynahoi_lerobot.evaluate.rows import STRATA
 from dynahoi_lerobot.evaluate.summary import Estimate
 from dynahoi_lerobot.metrics import METRICS
+from dynahoi_lerobot.metrics.columns import STRATA
 
 MAIN_COLUMNS = (
     "S_loc",
@@ -33,7 +34,7 @@ RESTRICTIONS = ("motions", "objects")
 """Fields of a recipe by which only some of a split's episodes are played."""
 ALL = "all"
 MOST_NAMED = 3
-"""So many motions or objects are named; more are counted."""
+"""So many motions or objects are named; more are counted, with digits of their names' hash."""
 
 MOST_COLUMNS = 3
 """So many evaluations stand side by side in a terminal of 100 columns."""
@@ -195,7 +196,7 @@ def columns_for(results: Sequence[Results]) -> tuple[str, ...]:
 
 def conditions(result: Results) -> dict[str, str]:
     """Return what an evaluation played, by name: numbers of other episodes do not compare."""
-    restricted = {name: _listed(name, result.info.recipe[name]) for name in RESTRICTIONS}
+    restricted = {name: _listed(result.info.recipe[name]) for name in RESTRICTIONS}
     return {
         "split": result.info.split,
         **restricted,
@@ -204,13 +205,14 @@ def conditions(result: Results) -> dict[str, str]:
     }
 
 
-def _listed(restriction: str, names: Sequence[str]) -> str:
-    """Return the names of the motions or objects that were played, or how many, if they are many;
-    none stand for all of them.
+def _listed(names: Sequence[str]) -> str:
+    """Return the names of the motions or objects that were played, or, if they are many, how many
+    and a hash that tells them from others; none stand for all of them.
     """
+    text = ", ".join(names)
     if len(names) > MOST_NAMED:
-        return f"{len(names)} {restriction}"
-    return ", ".join(names) or ALL
+        return f"{len(names)} (set {hashlib.sha256(text.encode()).hexdigest()[:8]})"
+    return text or ALL
 
 
 def _titled(condition: str) -> str:

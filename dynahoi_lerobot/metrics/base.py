@@ -10,6 +10,7 @@ from typing import Literal, get_args
 
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.registry import Registry, known
+from dynahoi_lerobot.metrics.columns import COLUMNS
 
 Direction = Literal["higher", "lower"]
 Aggregation = Literal["rate", "mean"]
@@ -97,8 +98,13 @@ def metric(
             ``fraction``, and any finite value otherwise.
 
     Raises:
-        ValueError: for another direction or aggregation.
+        ValueError: for another direction or aggregation, or the name of a column of results.
     """
+    if name in COLUMNS:
+        raise ValueError(
+            f"a metric cannot be named {name!r}, as a column of results is; these names are "
+            f"reserved: {', '.join(COLUMNS)}"
+        )
     known("direction", direction, dict.fromkeys(get_args(Direction)))
     known("aggregation", aggregation, dict.fromkeys(get_args(Aggregation)))
     if bounds is None:

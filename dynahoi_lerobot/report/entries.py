@@ -10,7 +10,7 @@ from typing import Any
 from dynahoi_lerobot.core.escaping import printable, shortened
 from dynahoi_lerobot.core.reading import LeftOut, ReadError
 from dynahoi_lerobot.evaluate.compare import refuse_mixture
-from dynahoi_lerobot.evaluate.results import Results, read_results
+from dynahoi_lerobot.evaluate.results import Results, finished, read_results
 from dynahoi_lerobot.evaluate.rows import Row, identity
 
 COLORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#8c6bb1", "#999999")
@@ -59,11 +59,11 @@ class Entry:
 
 
 def read_entries(folders: Sequence[Path], *, allow_version_mismatch: bool = False) -> list[Entry]:
-    """Read result folders, each once, best S_loc first; one that cannot be read is left out, with a
-    warning.
+    """Read result folders, each once, best S_loc first; one that cannot be read or is unfinished
+    is left out, with a warning.
 
     Raises:
-        ReadError: if none can be read.
+        ReadError: if all are left out.
         ValueError: if they are of different salts, or, unless ``allow_version_mismatch``, of
             different versions of the benchmark.
     """
@@ -78,7 +78,7 @@ def read_entries(folders: Sequence[Path], *, allow_version_mismatch: bool = Fals
 
 
 def _readable(folders: Sequence[Path]) -> list[Results]:
-    """Return the results of the folders that can be read; name the others in warnings."""
+    """Return the finished results that can be read; name the others in warnings."""
     results: list[Results] = []
     problems: list[ReadError] = []
     named: dict[Path, Path] = {}  # by where they lead, as they were called first
@@ -86,7 +86,7 @@ def _readable(folders: Sequence[Path]) -> list[Results]:
         named.setdefault(folder.resolve(), folder.absolute())
     for folder in named.values():
         try:
-            results.append(read_results(folder))
+            results.append(finished(read_results(folder)))
         except ReadError as error:
             problems.append(error)
     if not results:

@@ -15,9 +15,10 @@ import numpy as np
 from dynahoi_lerobot.core.conventions import CONTROL_DT, HAND_DOF, JOINT_NAMES, PALM_DOF
 from dynahoi_lerobot.core.escaping import data_url
 from dynahoi_lerobot.evaluate.results import Results
-from dynahoi_lerobot.evaluate.rows import STRATA, Row
+from dynahoi_lerobot.evaluate.rows import Row
 from dynahoi_lerobot.evaluate.summary import Estimate
 from dynahoi_lerobot.evaluate.table import columns_for, heading
+from dynahoi_lerobot.metrics.columns import STRATA
 from dynahoi_lerobot.metrics.grasp import FINGERS_AT_LEAST
 from dynahoi_lerobot.report.entries import COLORS, Entry, clip, distinct_episodes, short_name
 

@@ -15,14 +15,15 @@ from dynahoi_lerobot.core.files import write_text_atomically
 from dynahoi_lerobot.core.reading import ReadError, inside, read_bytes
 from dynahoi_lerobot.evaluate import table
 from dynahoi_lerobot.evaluate.compare import (
-    COMMANDS,
     CROSSABLE,
     paired_difference,
+    paired_values,
     unequal_conditions,
 )
-from dynahoi_lerobot.evaluate.results import RunInfo
+from dynahoi_lerobot.evaluate.results import Results, RunInfo
 from dynahoi_lerobot.evaluate.table import Cell, Table
 from dynahoi_lerobot.metrics import METRICS
+from dynahoi_lerobot.metrics.columns import COMMANDS
 from dynahoi_lerobot.report import figures
 from dynahoi_lerobot.report.comparisons import comparison_tables
 from dynahoi_lerobot.report.entries import Entry, distinct_episodes, read_entries
@@ -62,17 +63,28 @@ def run(options: Options) -> int:
         write_latex(entries, options.latex, options.across)
     print(table.results_table([entry.results for entry in entries]))
     pairs = list(combinations(entries, 2))
-    apart = {tuple(unequal_conditions(a.results, b.results, options.across)) for a, b in pairs}
-    for names in sorted(apart - {()}):
+    apart = {(a, b): _apart(a.results, b.results, options.across) for a, b in pairs}
+    for names in sorted({*apart.values()} - {()}):
         never = [name for name in names if name not in CROSSABLE]
         across = " ".join(f"--across {name}" for name in names)
         remedy = f"with different {never[0]} none can be" if never else f"{across} pairs them"
         print(f"evaluations with different {' and '.join(names)} are not paired; {remedy}")
     for a, b in pairs if options.across else []:
-        if not unequal_conditions(a.results, b.results, options.across):
+        if not apart[a, b]:
             print(_difference(a, b))
     print(f"report: {page}")
     return 0
+
+
+def _apart(a: Results, b: Results, across: Collection[str]) -> tuple[str, ...]:
+    """Return what keeps two evaluations from being paired: what gave them other episodes, or else
+    the conditions in which they differ.
+    """
+    if paired_values(a, b, "S_loc").size:
+        return tuple(unequal_conditions(a, b, across))
+    told, other = map(table.conditions, (a, b))
+    names = ("split", *table.RESTRICTIONS)
+    return tuple(name for name in names if told[name] != other[name]) or ("episodes",)
 
 
 def _difference(a: Entry, b: Entry) -> str:
@@ -96,8 +108,8 @@ def render_report(
     """Write the report of ``folders`` as one self-contained HTML page.
 
     Args:
-        folders: result folders; duplicates count once, and one that cannot be read is left out,
-            with a warning that says why.
+        folders: result folders; duplicates count once, and one that cannot be read or is
+            unfinished is left out, with a warning that says why.
         out: the file to write, or an existing folder in which ``report.html`` is written.
         across: conditions under which paired evaluations may differ, of ``CROSSABLE``.
         allow_version_mismatch: accept results of different benchmark versions.
@@ -106,7 +118,7 @@ def render_report(
         The path of the page.
 
     Raises:
-        ReadError: if none of the folders can be read.
+        ReadError: if all of the folders are left out.
         ValueError: if no folder is given, or for different versions of the benchmark, unless that
             is allowed.
     """

@@ -6,7 +6,7 @@ from typing import Any, Self
 from dynahoi_lerobot.core.arguments import option
 from dynahoi_lerobot.core.nested import as_json, changed, leaves
 from dynahoi_lerobot.core.protocols import PROTOCOLS
-from dynahoi_lerobot.core.registry import known
+from dynahoi_lerobot.core.registry import known, refuse_repeated
 from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.objects import OBJECTS
 from dynahoi_lerobot.rules import Rules
@@ -78,6 +78,7 @@ class Recipe:
             ("motion", MOTIONS, self.motions),
             ("object", OBJECTS, self.objects),
         ):
+            refuse_repeated(noun, chosen)
             for name in chosen:
                 registry[name]  # raises if there is none
                 self._check_split_of(noun, name)

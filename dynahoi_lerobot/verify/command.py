@@ -3,7 +3,6 @@
 import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from itertools import chain
 from pathlib import Path
@@ -105,7 +104,8 @@ def verify(
     Args:
         root: the dataset's folder.
         replayed: how many episodes are played again from their seeds and compared; they are drawn
-            at random. Without a recording in the manifest, or with a secret salt, none can be.
+            at random. Without a recording in the manifest, or with a secret salt, none can be; that
+            the recording names something unknown here is a finding if any is asked for.
         progress: called after each episode whose verdict was checked.
         note: told in a sentence what a replay found equal, and what could not be checked.
 
@@ -142,13 +142,13 @@ def verify(
     else:
         problems += [column_problems(store), statistics_problems(store)]
     findings += _guarded("format", chain.from_iterable(problems))
-    recording = _recording(manifest)
-    if recording is None:
-        note("no recording is known, so nothing was compared with the seeds, or played again")
-    else:
+    replayed = 0 if encoded else replayed
+    fail = (lambda said: findings.append(Finding("replay", said))) if replayed else note
+    recording = _recording(manifest, note, fail)
+    if recording is not None:
         findings += _guarded("seeds", seed_problems(store, manifest, recording, note))
     findings += _guarded("verdicts", _verdicts(store, recording, progress))
-    if recording is not None and not recording.recipe.salt and replayed and not encoded:
+    if recording is not None and not recording.recipe.salt and replayed:
         findings += _guarded("replay", _replay(store, recording, replayed, note))
     return findings
 
@@ -179,13 +179,22 @@ def _verdicts(
         progress()
 
 
-def _recording(manifest: Manifest) -> Recording | None:
-    """Return the recording that the manifest names; None if it names none, or none that this
-    project can read.
+def _recording(
+    manifest: Manifest, note: Callable[[str], object], fail: Callable[[str], object]
+) -> Recording | None:
+    """Return the recording that the manifest names; ``note`` is told that it names none, ``fail``
+    what in it is unknown here.
     """
-    with suppress(ReadError), reading(Path(MANIFEST_PATH)):
-        stored = manifest.provenance.get("recording")
-        return None if stored is None else validated(Recording, stored)
+    nothing = "nothing was compared with the seeds, or played again"
+    try:
+        with reading(Path(MANIFEST_PATH)):
+            stored = manifest.provenance.get("recording")
+            if stored is not None:
+                return validated(Recording, stored)
+    except ReadError as error:
+        fail(f"{error}; so {nothing}; if a name is unknown, install the package that registers it")
+    else:
+        note(f"no recording is known, so {nothing}")
     return None
 
 

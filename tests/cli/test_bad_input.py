@@ -20,6 +20,7 @@ CASES = [
     ("evaluate --policy hold --model m", "--model is for --policy vlm"),
     ("evaluate --policy hold --episodes 111", "must be 1 to 110, all of split test_small; got 111"),
     ("evaluate --policy hold --set a=1", "'hold'"),
+    ("evaluate --policy hold --device cuda:7", "--device is for a LeRobot policy, not hold"),
     ("evaluate --policy hold --motions lop", "'lop' (did you mean 'lob'?)"),
     ("evaluate --policy hold --out recipe.yaml", "recipe.yaml is a file"),
     (
@@ -61,6 +62,11 @@ CASES = [
     (f"{GENERATE} --episodes {10**30}", f"{10**30}"),
     (f"{GENERATE} --seed {2**40}", f"seed is {2**40}"),
     (f"{GENERATE} --image-size large", "'large'"),
+    (
+        f"{GENERATE} --image-size 0 --views side",
+        "no images of the views side; it must be 16 to 1024",
+    ),
+    (f"{GENERATE},lob,lob", "each motion may be named once, got constant, lob, lob"),
     (f"{GENERATE} --shard-episodes 0", "episodes per shard is 0"),
     (f"{GENERATE} --crf 52", "crf is 52"),
     (f"{GENERATE} --codec images --preset fast", "'fast'"),

@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dynahoi_lerobot.core.reading import ReadError
 from dynahoi_lerobot.evaluate.results import Results, read_results
+from dynahoi_lerobot.report.entries import read_entries
 from tests.checkpoints import tiny_diffusion
 from tests.tools import dynahoi
 
@@ -60,6 +62,27 @@ def test_a_full_disk_is_one_sentence_and_the_run_resumes(tmp_path, monkeypatch):
     assert calls == [2, 4, 4]
     assert sorted(row["seed"] for row in read_results(tmp_path).rows) == [0, 1, 2, 3]
     assert not list(tmp_path.glob(".*.part"))
+
+
+def test_a_report_leaves_an_unfinished_evaluation_out_until_it_is_finished_or_made_shorter(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    words = [*HOLD, "--batch-size", "2", "--image-size", "0", "--out", tmp_path]
+    write = Results.write
+
+    def killed(results: Results) -> None:
+        write(results)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Results, "write", killed)
+        dynahoi(*words, "--episodes", "4", code=130)
+    with pytest.raises(ReadError, match="is unfinished, with 2 of 4 episodes; run"):
+        read_entries([tmp_path])
+    for episodes in (2, 4):
+        dynahoi(*words, "--episodes", episodes)
+        (entry,) = read_entries([tmp_path])
+        assert len(entry.results.rows) == episodes
 
 
 def test_clips_are_of_the_first_episodes_of_the_split_whichever_end_first(tmp_path: Path):

@@ -1,5 +1,6 @@
 """Of every episode a row, of the rows groups and intervals, of those the printed tables."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from scipy.stats import binomtest
 from dynahoi_lerobot.core.nested import changed
 from dynahoi_lerobot.evaluate import summary
 from dynahoi_lerobot.evaluate.results import Results
-from dynahoi_lerobot.evaluate.rows import STRATA, episode_row
+from dynahoi_lerobot.evaluate.rows import episode_row
 from dynahoi_lerobot.evaluate.summary import Estimate, bootstrap, wilson
 from dynahoi_lerobot.evaluate.table import (
     MAIN_COLUMNS,
@@ -20,7 +21,10 @@ from dynahoi_lerobot.evaluate.table import (
     metrics_table,
     results_table,
 )
+from dynahoi_lerobot.metrics.columns import STRATA
+from dynahoi_lerobot.motions import MOTIONS
 from dynahoi_lerobot.motions.base import CATEGORIES
+from dynahoi_lerobot.sampling.benchmark import BENCHMARK
 from tests.evaluate.test_compare import results as scored
 from tests.synthetic import run_info, synthetic_episode
 
@@ -135,6 +139,16 @@ def test_many_evaluations_are_lines_and_few_are_columns_under_what_they_share():
     assert all(len(line) == len(rule) <= 100 for line in lines)
 
 
+def test_other_motions_are_other_conditions_however_many_they_are():
+    many = [name for name in MOTIONS.names() if name in BENCHMARK.splits["test"].motions]
+    played = [results(motions=tuple(many[first : first + 5])) for first in (0, 1)]
+    table = metrics_table(["a", "b"], played, ["S_loc"])
+    told = [row[table.head.index("motions")].text for row in table.rows]
+    assert len(set(told)) == 2
+    assert all(re.fullmatch(r"5 \(set [0-9a-f]{8}\)", text) for text in told)
+    assert f"motions {told[0]}" in metrics_table(["a", "b"], [played[0]] * 2, ["S_loc"]).caption
+
+
 def test_a_name_with_line_ends_adds_no_line_to_a_table():
     plain = results_table([results("a"), results("b")])
     odd = results_table([results("a\nS_loc % ↑  100.0"), results("b")])
@@ -150,7 +164,7 @@ def test_motions_and_objects_are_named_where_some_are_left_out():
     assert "motions lob, bounce, objects ball" in results_table([restricted])
     _, *lines = results_table([everything, restricted, results(**many)]).split("\n")
     rows = [" ".join(line.split()) for line in lines]
-    assert {"motions all lob, bounce 4 motions", "objects all ball all"} <= {*rows}
+    assert {"motions all lob, bounce 4 (set c95b40e0)", "objects all ball all"} <= {*rows}
 
 
 def test_the_contact_rule_leads_with_holding():

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dynahoi_lerobot.core.episode import Episode
+from dynahoi_lerobot.evaluate.rows import episode_row
 from dynahoi_lerobot.metrics import METRICS, Metric, measure, metric
 from tests.recompute_metrics import linearity, smoothness
 from tests.synthetic import synthetic_episode
@@ -362,6 +363,15 @@ def test_an_unknown_direction_or_aggregation_is_refused_with_the_known_ones():
         metric("V_palm", unit="s", direction="up", aggregation="mean")
     with pytest.raises(ValueError, match=r"unknown aggregation 'median'.*; known: rate, mean"):
         metric("V_palm", unit="s", direction="lower", aggregation="median")
+
+
+@pytest.mark.parametrize("name", sorted(episode_row(hand_made(LINE)).keys() - METRICS.names()))
+def test_a_metric_cannot_take_the_name_of_a_column_of_results(
+    name: str, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(METRICS, "register", lambda name: lambda entry: entry)
+    with pytest.raises(ValueError, match=f"cannot be named '{name}'.* reserved: .*\\b{name}\\b"):
+        metric(name, unit="s", direction="lower", aggregation="mean")
 
 
 @pytest.mark.parametrize("name", METRICS.names())

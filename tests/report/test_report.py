@@ -24,8 +24,8 @@ from dynahoi_lerobot.report.entries import (
     unique_labels,
 )
 from dynahoi_lerobot.report.page import clips_of, comparison_tables, page_content
-from tests.report.example_runs import example_run
-from tests.synthetic import run_info
+from tests.report.example_runs import example_run, play
+from tests.synthetic import run_info, write_results
 from tests.tools import dynahoi, edit_json
 
 HOSTILE = (
@@ -128,6 +128,7 @@ def unfinished(root: Path) -> list[Path]:
     edit_json(root / "older" / "metrics.json", schema=0)
     example_run(root / "begun", "p", 0.5, 4)
     (root / "begun" / "metrics.json").unlink()
+    example_run(root / "stopped", "p", 0.5, 4, episodes_asked=6)
     (root / "empty").mkdir()
     (root / "notes.txt").write_text("mine")
     return sorted(root.iterdir())
@@ -390,6 +391,12 @@ def test_evaluations_under_other_conditions_are_paired_only_where_that_is_asked_
     example_run(tmp_path / "c", "a", 0.3, 8, recipe=other, capture="contact")
     told = report(tmp_path / "c", "--across", "render_noise")
     assert "capture and hand are not paired; with different capture none can be" in told
+    other = {"render_noise": 2, "split": "val", "motions": ("lob",)}
+    results = example_run(tmp_path / "d", "a", 0.3, 8, recipe=other)
+    write_results(tmp_path / "d", play(8, 0.3, split="val"), results.info)
+    told = report(tmp_path / "d")
+    assert "split and motions are not paired; with different split none can be" in told
+    assert "--across" not in told
     said = dynahoi("report", tmp_path / "a", tmp_path / "old", code=2).err
     assert "has benchmark 'v0'" in said
     assert "v0" in report(tmp_path / "old", "--allow-version-mismatch")

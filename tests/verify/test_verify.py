@@ -4,6 +4,7 @@ signed anew.
 
 import dataclasses
 import json
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -287,3 +288,24 @@ def test_a_dataset_that_cannot_be_played_again_says_so(tmp_path):
     told: list[str] = []
     assert not verify(root, replayed=1, note=told.append)
     assert any("salt" in note and "played again" in note for note in told)
+
+
+def test_a_recording_of_a_package_that_is_missing_is_named_and_a_finding_if_it_is_to_be_replayed(
+    copy,
+):
+    edit_json(
+        copy / "meta/manifest.json",
+        lambda content: content["provenance"]["recording"]["recipe"].update(motions=["spiral"]),
+    )
+    sign(copy)
+    told = "unknown motion 'spiral'.* install the package that registers it"
+    for count, code in (("1", 1), ("0", 0)):
+        said = dynahoi("verify", copy, "--replay", count, code=code).out
+        assert re.search(told, said)
+        assert ("no findings" in said) == (code == 0)
+
+
+def test_a_dataset_without_a_recording_is_sound_and_says_so(copy):
+    edit_json(copy / "meta/manifest.json", lambda content: content["provenance"].pop("recording"))
+    sign(copy)
+    assert "no recording is known" in dynahoi("verify", copy, "--replay", "1").out
