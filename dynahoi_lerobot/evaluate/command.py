@@ -202,7 +202,7 @@ def _refuse_ignored(options: Options) -> None:
     if name != VLM:
         refuse_given(options, FOR_VLM, f"is for --policy {VLM}, not {name}")
     if name in (EXPERT_ALIAS, VLM, *EXPERTS.names()):
-        refuse_given(options, ["device"], f"is for a LeRobot policy, not {name}")
+        refuse_given(options, ["device", "trust"], f"is for a LeRobot policy, not {name}")
 
 
 def _added(before: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any]:

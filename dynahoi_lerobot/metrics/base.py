@@ -10,7 +10,7 @@ from typing import Literal, get_args
 
 from dynahoi_lerobot.core.episode import Episode
 from dynahoi_lerobot.core.registry import Registry, known
-from dynahoi_lerobot.metrics.columns import COLUMNS
+from dynahoi_lerobot.metrics.columns import COLUMNS, COMMANDS
 
 Direction = Literal["higher", "lower"]
 Aggregation = Literal["rate", "mean"]
@@ -100,10 +100,11 @@ def metric(
     Raises:
         ValueError: for another direction or aggregation, or the name of a column of results.
     """
-    if name in COLUMNS:
+    reserved = (*COLUMNS, COMMANDS)
+    if name in reserved:
         raise ValueError(
-            f"a metric cannot be named {name!r}, as a column of results is; these names are "
-            f"reserved: {', '.join(COLUMNS)}"
+            f"a metric cannot be named {name!r}, as a column of results or of a comparison is; "
+            f"these names are reserved: {', '.join(reserved)}"
         )
     known("direction", direction, dict.fromkeys(get_args(Direction)))
     known("aggregation", aggregation, dict.fromkeys(get_args(Aggregation)))

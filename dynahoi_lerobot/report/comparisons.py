@@ -5,13 +5,13 @@ from itertools import combinations
 
 from dynahoi_lerobot.evaluate import table
 from dynahoi_lerobot.evaluate.compare import (
-    COMMANDS,
     Comparison,
     paired_difference,
     unequal_conditions,
     verdict,
 )
 from dynahoi_lerobot.evaluate.table import Cell, Table
+from dynahoi_lerobot.metrics.columns import COMMANDS
 from dynahoi_lerobot.report.entries import Entry
 
 COMPARED = {

@@ -21,6 +21,7 @@ CASES = [
     ("evaluate --policy hold --episodes 111", "must be 1 to 110, all of split test_small; got 111"),
     ("evaluate --policy hold --set a=1", "'hold'"),
     ("evaluate --policy hold --device cuda:7", "--device is for a LeRobot policy, not hold"),
+    ("evaluate --policy hold --trust", "--trust is for a LeRobot policy, not hold"),
     ("evaluate --policy hold --motions lop", "'lop' (did you mean 'lob'?)"),
     ("evaluate --policy hold --out recipe.yaml", "recipe.yaml is a file"),
     (

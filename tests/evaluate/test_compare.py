@@ -11,7 +11,6 @@ from scipy.stats import binomtest
 
 from dynahoi_lerobot.cli.main import main
 from dynahoi_lerobot.evaluate.compare import (
-    COMMANDS,
     CROSSABLE,
     Comparison,
     compare,
@@ -20,6 +19,7 @@ from dynahoi_lerobot.evaluate.compare import (
     sign_flip,
 )
 from dynahoi_lerobot.evaluate.results import Results, read_results
+from dynahoi_lerobot.metrics.columns import COMMANDS
 from dynahoi_lerobot.sampling.recipe import COMPARED
 from dynahoi_lerobot.sampling.salt import stream_label
 from tests.synthetic import run_info
