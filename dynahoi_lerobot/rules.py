@@ -91,11 +91,6 @@ class Rules:
         RENDERERS.check(self.renderer)
         refuse_repeated("view", self.views)
         low, high = IMAGE_SIZES_PX
-        if self.views and not self.image_size:
-            raise ValueError(
-                f"image_size is 0, which gives no images of the views {', '.join(self.views)}; it "
-                f"must be {low} to {high}"
-            )
         if self.image_size and not low <= self.image_size <= high:
             raise ValueError(
                 f"image_size must be {low} to {high} pixels, or 0 for no camera, got "

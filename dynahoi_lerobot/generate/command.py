@@ -96,6 +96,8 @@ def run(
     if options.actor is not None:
         told, runs_on, record = _on_policy(options.actor, options, told)
     recording = changed(recording or Recording(), told)
+    if options.given.get("views") and not recording.recipe.rules.image_size:
+        raise ValueError("--views needs images: image_size is 0, no camera")
     plan = _plan(options, recording, runs_on)
     if options.executor is not None:
         from dynahoi_lerobot.generate import executors

@@ -65,7 +65,7 @@ CASES = [
     (f"{GENERATE} --image-size large", "'large'"),
     (
         f"{GENERATE} --image-size 0 --views side",
-        "no images of the views side; it must be 16 to 1024",
+        "--views needs images: image_size is 0",
     ),
     (f"{GENERATE},lob,lob", "each motion may be named once, got constant, lob, lob"),
     (f"{GENERATE} --shard-episodes 0", "episodes per shard is 0"),

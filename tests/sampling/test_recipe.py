@@ -27,7 +27,6 @@ BAD_VALUES = [
     {"views": ("side", "side")},
     {"motions": ("lob", "constant", "lob")},
     {"objects": ("cup", "cup")},
-    {"image_size": 0, "views": ("side",)},
     {"image_size": 8},
     {"perturbed_share": 1.5},
     {"actor": "somebody"},
