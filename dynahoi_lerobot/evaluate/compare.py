@@ -139,7 +139,7 @@ def command_distances_cm(a: Results, b: Results) -> np.ndarray:
     """
     means = []
     for i, j in _both_played(a, b):
-        begin = a.rows[i]["window_frames"]  # as B's
+        begin = a.rows[i]["window_frames"]  # the same in B: see `identity`
         end = min(len(a.actions[i]), len(b.actions[j]))
         if begin < end:
             palms_m = (actions[begin:end, :PALM_DOF] for actions in (a.actions[i], b.actions[j]))
